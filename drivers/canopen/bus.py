@@ -1,0 +1,237 @@
+"""CANopen as a bus: SDO for access, RPDO → SYNC → TPDO for the cycle (CiA 301)."""
+
+from __future__ import annotations
+
+import struct
+
+from drivers.canopen.wire import SYNC, CanWire
+from drivers.drive import Exchange
+from drivers.pace import Pace
+from profiles.errors import AccessDenied, LinkError, LinkLost, ProfileError, TwoRelayError
+from profiles.schema import WIDTH_BITS, Address, CanopenAddress, Identity, Profile
+
+__all__ = ["CanopenBus", "identify"]
+
+MISSED_CYCLES = 3  # consecutive cycles without a sample are a lost link (safety, receive deadline)
+SHORTEST_DEADLINE = 0.01  # s: below this, a stall of the host would pass for a dead link
+
+NMT_OPERATIONAL = 0x01
+NMT_PRE_OPERATIONAL = 0x80
+_STATE_OPERATIONAL = 0x05
+_PDO_OFF = 1 << 31
+_EVENT_DRIVEN = 255
+_EVERY_SYNC = 1
+
+_CODE = {
+    "i8": "b", "u8": "B", "i16": "h", "u16": "H", "i32": "i", "u32": "I", "i64": "q", "u64": "Q",
+    "f32": "f",
+}  # fmt: skip
+
+
+def identify(wire: CanWire) -> Identity:
+    """Identity object 1018h."""
+    numbers = []
+    for sub in (1, 2, 3, 4):
+        try:
+            numbers.append(int.from_bytes(wire.upload(0x1018, sub)[:4], "little"))
+        except AccessDenied:
+            numbers.append(0)
+    vendor, product, revision, serial = (f"0x{number:08X}" for number in numbers)
+    return Identity(vendor=vendor, product=product, revision=revision, serial=serial)
+
+
+class CanopenBus:
+    """One node on one wire."""
+
+    def __init__(self, wire: CanWire, profile: Profile, pace: Pace) -> None:
+        self.cycle = pace.cycle
+        self._wire = wire
+        self._profile = profile
+        self._pace = pace
+        self._deadline = max(pace.cycle, SHORTEST_DEADLINE)
+        cycle = profile.cycle
+        self._out = [_canopen(profile.parameters[name].address) for name in cycle.out]
+        self._in = [_canopen(profile.parameters[name].address) for name in cycle.in_]
+        self._out_format = struct.Struct("<" + "".join(_CODE[a.type] for a in self._out))
+        self._in_format = struct.Struct("<" + "".join(_CODE[a.type] for a in self._in))
+        for what, layout in (("out", self._out_format), ("in", self._in_format)):
+            if layout.size > 8:
+                raise ProfileError(
+                    f"profile '{profile.name}': [cycle] {what} takes {layout.size} bytes; a PDO "
+                    "has 8"
+                )
+        self._rpdo = _Pdo(0x1400 + cycle.rpdo - 1, 0x1600 + cycle.rpdo - 1)
+        self._tpdo = _Pdo(0x1800 + cycle.tpdo - 1, 0x1A00 + cycle.tpdo - 1)
+        self._restore: list[tuple[int, int, bytes]] = []
+        self._running = False
+        self._idle: tuple[int, ...] = ()
+        watchdog = profile.watchdog
+        self._heartbeat = 0x700 + watchdog.node if watchdog.kind == "heartbeat" else None
+        self._heartbeat_every = watchdog.timeout / 4
+        self._heartbeat_due = -1.0
+        if pace.stepping:
+            self._set_simulation("simulation_cycle", pace.cycle)
+
+    def identify(self) -> Identity:
+        """Ask the drive who it is."""
+        return identify(self._wire)
+
+    def read(self, address: Address) -> int:
+        """Raw value by SDO; raises LinkError, AccessDenied."""
+        at = _canopen(address)
+        data = self._wire.upload(at.index, at.sub)
+        layout = struct.Struct("<" + _CODE[at.type])
+        if len(data) < layout.size:
+            raise LinkError(f"{at} has {len(data)} bytes in the drive, not {layout.size}")
+        value: int = layout.unpack_from(data)[0]
+        return value
+
+    def write(self, address: Address, raw: int) -> None:
+        """Write a raw value by SDO; raises LinkError, AccessDenied."""
+        at = _canopen(address)
+        self._wire.download(at.index, at.sub, struct.pack("<" + _CODE[at.type], raw))
+
+    def post(self, address: Address, raw: int) -> None:
+        """By RPDO where the value is mapped and the cycle runs, and by SDO; without waiting."""
+        at = _canopen(address)
+        if self._running and at in self._out:
+            frame = list(self._idle)
+            frame[self._out.index(at)] = raw
+            self._idle = tuple(frame)
+            self._wire.send(self._rpdo.cob_id, self._out_format.pack(*frame))
+        self._wire.post_download(at.index, at.sub, struct.pack("<" + _CODE[at.type], raw))
+
+    # -- cycle -----------------------------------------------------------------------------------
+
+    def start(self, idle: tuple[int, ...]) -> None:
+        """Map the PDOs, start the node, and expect its TPDO with every SYNC."""
+        self._idle = idle
+        if self._running:
+            return
+        self._wire.nmt(NMT_PRE_OPERATIONAL)
+        self._map(self._rpdo, self._out, _EVENT_DRIVEN, 0x100 + 0x100 * self._profile.cycle.rpdo)
+        self._map(self._tpdo, self._in, _EVERY_SYNC, 0x80 + 0x100 * self._profile.cycle.tpdo)
+        self._wire.listen_tpdo(self._tpdo.cob_id)
+        self._wire.nmt(NMT_OPERATIONAL)
+        self._running = True
+
+    def _map(
+        self, pdo: _Pdo, wanted: list[CanopenAddress], transmission: int, default_id: int
+    ) -> None:
+        """Write a PDO's mapping, unless the drive has it already; remember what was there."""
+        wire = self._wire
+        raw_id = _u32(wire.upload(pdo.communication, 1))
+        number = raw_id & 0x7FF or default_id + wire.node
+        pdo.cob_id = number
+        kind = wire.upload(pdo.communication, 2)[:1]
+        count = wire.upload(pdo.mapping, 0)[0]
+        there = [_u32(wire.upload(pdo.mapping, n + 1)) for n in range(count)]
+        entries = [a.index << 16 | a.sub << 8 | WIDTH_BITS[a.type] for a in wanted]
+        if there == entries and kind == bytes((transmission,)) and not raw_id & _PDO_OFF:
+            return
+        # put back in reverse order: off, transmission, no entries, entries, count, as it was
+        self._restore += [
+            (pdo.communication, 1, struct.pack("<I", raw_id)),
+            (pdo.mapping, 0, bytes((count,))),
+            *((pdo.mapping, n + 1, struct.pack("<I", entry)) for n, entry in enumerate(there)),
+            (pdo.mapping, 0, b"\0"),
+            (pdo.communication, 2, kind),
+            (pdo.communication, 1, struct.pack("<I", raw_id | _PDO_OFF)),
+        ]
+        wire.download(pdo.communication, 1, struct.pack("<I", number | _PDO_OFF))
+        wire.download(pdo.communication, 2, bytes((transmission,)))
+        wire.download(pdo.mapping, 0, b"\0")
+        for n, entry in enumerate(entries):
+            wire.download(pdo.mapping, n + 1, struct.pack("<I", entry))
+        wire.download(pdo.mapping, 0, bytes((len(entries),)))
+        wire.download(pdo.communication, 1, struct.pack("<I", number))
+        found = [_u32(wire.upload(pdo.mapping, n + 1)) for n in range(len(entries))]
+        if found != entries:
+            raise AccessDenied(
+                f"the drive did not take the mapping of {pdo.mapping:04X}h: it reads "
+                + ", ".join(f"{entry:08X}h" for entry in found)
+            )
+
+    def exchange(self, values: tuple[int, ...]) -> Exchange:
+        """Command by RPDO now, SYNC at the deadline, feedback by TPDO."""
+        wire, pace = self._wire, self._pace
+        payload = self._out_format.pack(*values)
+        missed = 0
+        while True:
+            wire.send(self._rpdo.cob_id, payload)
+            sent = pace.now()
+            if self._heartbeat is not None and sent >= self._heartbeat_due:
+                wire.send(self._heartbeat, bytes((_STATE_OPERATIONAL,)))
+                self._heartbeat_due = sent + self._heartbeat_every
+            lateness = pace.next_deadline()
+            wire.drain()
+            time = pace.now()
+            wire.send(SYNC, b"")
+            data = wire.take_tpdo(self._deadline)
+            if data is not None and len(data) >= self._in_format.size:
+                return Exchange(self._in_format.unpack_from(data), sent, time, lateness, missed)
+            missed += 1
+            if missed >= MISSED_CYCLES:
+                raise LinkLost(
+                    f"no TPDO from node {wire.node} for {missed} cycles of "
+                    f"{self.cycle * 1000:g} ms: the link is lost"
+                )
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass; on a stepping drive, by asking it to."""
+        if self._pace.stepping:
+            self._set_simulation("simulation_advance", seconds)
+        self._pace.pass_time(seconds)
+
+    def _set_simulation(self, name: str, seconds: float) -> None:
+        parameter = self._profile.parameters.get(name)
+        if parameter is None:
+            raise LinkError(
+                f"clock=step needs a served virtual drive; profile '{self._profile.name}' has no "
+                f"'{name}'"
+            )
+        try:
+            self.write(parameter.address, round(seconds / parameter.scale))
+        except AccessDenied:
+            raise LinkError(
+                "the drive does not step: serve it with --clock step, or leave clock=step away"
+            ) from None
+
+    def trouble(self) -> str:
+        """Last emergency of the node."""
+        if self._wire.emergency is None:
+            return ""
+        code, register = self._wire.emergency
+        return f"emergency {code:04X}h, error register {register:02X}h"
+
+    def close(self) -> None:
+        """Put the PDO mapping back and let go of the adapter."""
+        try:
+            if self._running:
+                self._running = False
+                self._wire.nmt(NMT_PRE_OPERATIONAL)
+                for index, sub, data in reversed(self._restore):
+                    self._wire.download(index, sub, data)
+        except TwoRelayError:
+            # the mapping is volatile and the link is already reported as lost
+            self._restore.clear()
+        finally:
+            self._wire.close()
+
+
+class _Pdo:
+    """Where a PDO's parameters are, and its COB-ID once it is known."""
+
+    def __init__(self, communication: int, mapping: int) -> None:
+        self.communication = communication
+        self.mapping = mapping
+        self.cob_id = 0
+
+
+def _u32(data: bytes) -> int:
+    return int.from_bytes(data[:4], "little")
+
+
+def _canopen(address: Address) -> CanopenAddress:
+    assert isinstance(address, CanopenAddress)  # the profile's bus was checked when it was loaded
+    return address

@@ -1,0 +1,297 @@
+"""python-can and canopen, behind one door: one thread owns the bus and receives where it waits.
+
+No notifier thread, no callback, no lock: whoever waits for an answer pumps the bus, and everything
+that arrives meanwhile is sorted by COB-ID.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import select
+import socket
+import struct
+import time
+from collections.abc import Callable
+from typing import Any
+
+import can
+from canopen.objectdictionary import ObjectDictionary
+from canopen.sdo import SdoAbortedError, SdoClient, SdoCommunicationError
+
+from profiles.errors import AccessDenied, LinkError, LinkLost, UsageError
+
+__all__ = ["CanWire", "NoAnswer", "open_bus"]
+
+for _name in ("can", "canopen"):
+    logging.getLogger(_name).setLevel(logging.CRITICAL)
+
+SYNC = 0x080
+EMERGENCY = 0x080
+HEARTBEAT = 0x700
+NMT = 0x000
+_POST_ANSWER = 0.05  # s that the answer to a posted download may take
+
+Trace = Callable[[bool, int, bytes], None]
+
+
+class NoAnswer(LinkError):
+    """The time-out of one request has passed."""
+
+
+def open_bus(interface: str, channel: str, bitrate: int, timeout: float) -> can.BusABC:
+    """Open a CAN adapter by python-can's names; raises LinkError, UsageError."""
+    options: dict[str, Any] = {"bitrate": bitrate}
+    if interface == "slcan":
+        options["sleep_after_open"] = 0
+        options["timeout"] = 0.001 if os.name == "nt" else 0
+    elif interface == "socketcand":
+        host, port, channel = _socketcand_address(channel)
+        _greet(host, port, timeout)
+        options = {"host": host, "port": port, "tcp_tune": True}
+    elif interface in ("virtual", "socketcan"):
+        options = {}
+    try:
+        bus = can.Bus(interface=interface, channel=channel, **options)
+    except can.CanInterfaceNotImplementedError as error:
+        if interface not in can.VALID_INTERFACES:
+            known = ", ".join(sorted(can.VALID_INTERFACES))
+            raise UsageError(f"no CAN interface '{interface}'; python-can has: {known}") from None
+        raise LinkError(
+            f"CAN interface '{interface}' cannot be used here: {error}; is its driver installed?"
+        ) from None
+    except (can.CanError, OSError, ValueError, TimeoutError) as error:
+        raise LinkError(
+            f"cannot open CAN channel '{channel}' on '{interface}': {error}; is the adapter "
+            "plugged in, and free?"
+        ) from None
+    if interface == "socketcand":
+        _untangle_socketcand(bus)
+    return bus
+
+
+def _untangle_socketcand(bus: can.BusABC) -> None:
+    """Bound the time that a send to a full socket may block."""
+    stream = getattr(bus, "_SocketCanDaemonBus__socket", None)
+    if isinstance(stream, socket.socket):
+        stream.settimeout(1.0)
+
+
+def _socketcand_address(channel: str) -> tuple[str, int, str]:
+    place, slash, name = channel.partition("/")
+    host, colon, port = place.rpartition(":")
+    if not slash or not colon or not port.isdigit() or not name:
+        raise UsageError(
+            f"'{channel}': a socketcand link is canopen://socketcand/HOST:PORT/CHANNEL?node=N"
+        )
+    return host, int(port), name
+
+
+def _greet(host: str, port: int, timeout: float) -> None:
+    """See that a socketcand server answers, quickly: the library would wait for 10 s or for ever."""
+    try:
+        with socket.create_connection((host, port), timeout) as stream:
+            stream.settimeout(timeout)
+            hello = stream.recv(64)
+    except TimeoutError:
+        raise LinkError(
+            f"{host}:{port} does not greet as socketcand within {timeout:g} s: is it that port?"
+        ) from None
+    except OSError as error:
+        raise LinkError(f"cannot connect to socketcand at {host}:{port}: {error.strerror or error}") from None
+    if not hello.startswith(b"< hi"):
+        raise LinkError(f"{host}:{port} is no socketcand server: it says {hello[:20]!r}")
+
+
+def _waitable(bus: can.BusABC) -> int | None:
+    """Descriptor of a serial adapter: waiting on it beats the library's polling."""
+    if os.name == "nt" or type(bus).__name__ != "slcanBus":
+        return None
+    return int(bus.fileno())
+
+
+class CanWire:
+    """The bus as one node's master sees it.
+
+    Attributes
+    ----------
+    emergency : last EMCY (code, register) of the node, or None
+    heartbeat_state : last NMT state heard, or None
+    foreign_master : COB-ID of a frame that only another master would send, or None
+    garbled : frames that could not be read
+    """
+
+    def __init__(
+        self, bus: can.BusABC, node: int, timeout: float, trace: Trace | None = None
+    ) -> None:
+        self.node = node
+        self.emergency: tuple[int, int] | None = None
+        self.heartbeat_state: int | None = None
+        self.foreign_master: int | None = None
+        self.garbled = 0
+        self._bus = bus
+        self._trace = trace
+        self._tpdo_id = 0
+        self._tpdo: bytes | None = None
+        self._closed = False
+        self._posted = 0
+        self._descriptor = _waitable(bus)
+        self._sdo = _PumpedSdo(self, node, timeout)
+
+    # -- frames ----------------------------------------------------------------------------------
+
+    def send(self, cob_id: int, data: bytes) -> None:
+        """Send one frame; raises LinkLost."""
+        message = can.Message(arbitration_id=cob_id, data=data, is_extended_id=False)
+        try:
+            self._bus.send(message, timeout=0.1)
+        except (can.CanError, OSError, ValueError) as error:
+            raise LinkLost(f"cannot send on the CAN bus: {error}") from None
+        if self._trace is not None:
+            self._trace(True, cob_id, data)
+
+    send_message = send  # the name under which canopen's SDO client knows it
+
+    def pump(self, timeout: float) -> bool:
+        """Receive and sort one frame; False when none came within `timeout` s."""
+        try:
+            if self._descriptor is not None:
+                ready, _, _ = select.select([self._descriptor], [], [], timeout)
+                message = self._bus.recv(0) if ready else None
+            else:
+                message = self._bus.recv(timeout)
+        except (ValueError, IndexError):
+            self.garbled += 1  # a corrupt line of a serial adapter; the next one is good again
+            return True
+        except (can.CanError, OSError) as error:
+            if isinstance(error.__cause__ or error.__context__, ValueError):
+                self.garbled += 1
+                return True
+            raise LinkLost(f"the CAN adapter failed: {str(error).splitlines()[0]}") from None
+        if message is None:
+            return False
+        data = bytes(message.data)
+        cob_id = message.arbitration_id
+        if self._trace is not None:
+            self._trace(False, cob_id, data)
+        if message.is_error_frame or message.is_extended_id or message.is_remote_frame:
+            return True
+        if cob_id == self._tpdo_id:
+            self._tpdo = data
+        elif cob_id == self._sdo.tx_cobid:
+            if len(data) == 8:
+                self._sdo.responses.put(data)
+            else:
+                self.garbled += 1
+        elif cob_id == EMERGENCY + self.node and len(data) == 8:
+            code, register = struct.unpack_from("<HB", data)
+            self.emergency = (code, register) if code else None
+        elif cob_id == HEARTBEAT + self.node and len(data) == 1:
+            self.heartbeat_state = data[0]
+        elif cob_id in (NMT, SYNC, 0x200 + self.node, 0x600 + self.node):
+            self.foreign_master = cob_id
+        return True
+
+    def pump_until(self, done: Callable[[], bool], timeout: float) -> bool:
+        """Pump until `done()`, at most `timeout` s; return whether it is done."""
+        deadline = time.perf_counter() + timeout
+        while not done():
+            left = deadline - time.perf_counter()
+            if left <= 0:
+                return False
+            if not self.pump(left) and left > 0.002:
+                time.sleep(0.0002)  # a dead adapter returns at once, and for ever
+        return True
+
+    # -- PDO -------------------------------------------------------------------------------------
+
+    def listen_tpdo(self, cob_id: int) -> None:
+        """Which TPDO to keep."""
+        self._tpdo_id = cob_id
+
+    def drain(self) -> None:
+        """Take what has arrived, and forget a TPDO that came too late."""
+        for _ in range(1000):
+            if not self.pump(0):
+                break
+        self._tpdo = None
+
+    def take_tpdo(self, timeout: float) -> bytes | None:
+        """The TPDO, as soon as it is there; None after `timeout` s."""
+        self.pump_until(lambda: self._tpdo is not None, timeout)
+        data, self._tpdo = self._tpdo, None
+        return data
+
+    # -- SDO -------------------------------------------------------------------------------------
+
+    def upload(self, index: int, sub: int) -> bytes:
+        """Read an object; raises NoAnswer, AccessDenied."""
+        with self._translated(index, sub):
+            return bytes(self._sdo.upload(index, sub))
+
+    def download(self, index: int, sub: int, data: bytes) -> None:
+        """Write an object; raises NoAnswer, AccessDenied."""
+        with self._translated(index, sub):
+            self._sdo.download(index, sub, data)
+
+    def post_download(self, index: int, sub: int, data: bytes) -> None:
+        """Send an expedited download and wait for nothing."""
+        command = 0x23 | (4 - len(data)) << 2  # CiA 301: expedited, size indicated
+        frame = struct.pack("<BHB", command, index, sub) + data.ljust(4, b"\0")
+        self.send(0x600 + self.node, frame)
+        self._posted += 1
+
+    def _settle_posts(self) -> None:
+        """Let the answers to posted downloads come in, so that they answer nothing else."""
+        if self._posted:
+            responses = self._sdo.responses
+            self.pump_until(lambda: responses.qsize() >= self._posted, _POST_ANSWER)
+            self._posted = 0
+
+    @contextlib.contextmanager
+    def _translated(self, index: int, sub: int) -> Any:
+        self._settle_posts()
+        try:
+            yield
+        except SdoAbortedError as error:
+            text = SdoAbortedError.CODES.get(error.code, "unknown abort code")
+            raise AccessDenied(
+                f"{index:04X}h:{sub:02X}: node {self.node} refuses it: {text} ({error.code:08X}h)"
+            ) from None
+        except SdoCommunicationError as error:
+            raise NoAnswer(
+                f"node {self.node} does not answer to SDO {index:04X}h:{sub:02X} within "
+                f"{self._sdo.RESPONSE_TIMEOUT:g} s ({error}); are bit rate, node number and "
+                "channel right, and is the drive on?"
+            ) from None
+
+    def nmt(self, command: int) -> None:
+        """Send an NMT command to the node."""
+        self.send(NMT, bytes((command, self.node)))
+
+    def close(self) -> None:
+        """Let go of the adapter."""
+        if not self._closed:
+            self._closed = True
+            with contextlib.suppress(can.CanError, OSError, ValueError):
+                self._bus.shutdown()
+
+
+class _PumpedSdo(SdoClient):  # type: ignore[misc]
+    """canopen's SDO client on a wire without a receive thread; one request, no retry."""
+
+    MAX_RETRIES = 1
+
+    def __init__(self, wire: CanWire, node: int, timeout: float) -> None:
+        super().__init__(0x600 + node, 0x580 + node, ObjectDictionary())
+        self.RESPONSE_TIMEOUT = timeout
+        self.network = wire
+
+    def read_response(self) -> bytes:
+        """Pump the wire until the response is there."""
+        wire: CanWire = self.network
+        if not wire.pump_until(lambda: not self.responses.empty(), self.RESPONSE_TIMEOUT):
+            raise SdoCommunicationError("No SDO response received")
+        response: bytes = super().read_response()
+        return response

@@ -1,0 +1,121 @@
+"""A drive is a handful of verbs; a bus is what a driver gives to make them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from drivers.sample import Sample
+from drivers.scaling import Scaling
+from profiles.schema import Address, Identity, Mode, Profile
+
+__all__ = ["Bus", "Drive", "Exchange", "StopReport"]
+
+
+@dataclass(frozen=True, slots=True)
+class StopReport:
+    """What the stop path reached.
+
+    `deenergised` and `reason` are as read from the drive after the stop; None: it did not answer.
+    """
+
+    deenergised: bool | None
+    failures: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        state = {
+            True: "axis stopped and de-energised",
+            False: "the drive is STILL ENERGISED: use the emergency stop",
+            None: "stop was sent but the drive does not answer: it is NOT verified that the axis "
+            "is at rest; use the emergency stop",
+        }[self.deenergised]
+        return "; ".join([state, *self.failures])
+
+
+class Drive(Protocol):
+    """What commissioning asks of a drive. Names are the profile's, values SI at the axis.
+
+    Every verb raises LinkError when the drive cannot be talked to.
+    """
+
+    profile: Profile
+    scaling: Scaling
+    link: str
+    cycle: float
+
+    def identity(self) -> Identity:
+        """Who the drive says it is."""
+
+    def read(self, name: str) -> float:
+        """Value of a parameter, SI."""
+
+    def write(self, name: str, value: float) -> None:
+        """Write and read back; raises WriteFailed when it is not what was written."""
+
+    def store(self) -> None:
+        """Make the parameters non-volatile; raises WriteFailed."""
+
+    def enable(self, mode: Mode, rest: float = 0.0) -> None:
+        """Energise in `mode` with the set-point `rest` in force, which `stop` falls back to."""
+
+    def disable(self) -> None:
+        """De-energise an axis at rest, brake first."""
+
+    def exchange(self, set_point: float) -> Sample:
+        """Put `set_point` in force and return the first sample latched after that."""
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass without a command."""
+
+    def stop(self, hurry: Callable[[], bool] = ...) -> StopReport:
+        """Make the axis safe first, then say what was reached. Never raises."""
+
+    def close(self) -> None:
+        """Give the link back."""
+
+
+class Exchange(NamedTuple):
+    """One cyclic exchange, raw: the values of the profile's `cycle.in`, and the times in s."""
+
+    values: tuple[int, ...]
+    sent: float
+    time: float
+    lateness: float
+    missed: int
+
+
+class Bus(Protocol):
+    """What a driver implements: raw access by address, and the cycle.
+
+    `read` and `write` raise LinkError, or AccessDenied when the drive answers with a refusal.
+    """
+
+    cycle: float
+
+    def identify(self) -> Identity:
+        """Ask the drive who it is."""
+
+    def read(self, address: Address) -> int:
+        """Raw value."""
+
+    def write(self, address: Address, raw: int) -> None:
+        """Write a raw value and wait for the acknowledgement."""
+
+    def post(self, address: Address, raw: int) -> None:
+        """Write without waiting for anything, by every way the bus has. For the stop path."""
+
+    def start(self, idle: tuple[int, ...]) -> None:
+        """Make the cycle ready; `idle` are the raw values of `cycle.out` that do nothing."""
+
+    def exchange(self, values: tuple[int, ...]) -> Exchange:
+        """Send the raw values of `cycle.out`, get those of `cycle.in`; paced to the cycle."""
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+
+    def trouble(self) -> str:
+        """Last thing that the drive reported by itself (an emergency), or ''."""
+
+    def close(self) -> None:
+        """Put back what the bus changed in the drive, and let go."""

@@ -1,0 +1,231 @@
+"""LINK → Drive. A link is a URL; the axis and the profile say the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qsl, unquote, urlsplit
+
+from drivers.home import home
+from drivers.pace import Pace, StepPace, WallPace
+from drivers.profiled import ProfiledDrive
+from profiles.axis import Axis, AxisLimits, Mechanics
+from profiles.errors import IdentityMismatch, UsageError
+from profiles.library import fitting, load_profile
+from profiles.schema import Identity, Profile
+
+__all__ = ["Link", "axis_of", "open_drive", "parse"]
+
+SCHEMES = ("virtual", "modbus-tcp", "canopen")
+_MODBUS_PORT = 502
+_CONNECT_TIMEOUT = 3.0  # s
+
+Trace = Callable[..., None]
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A parsed LINK.
+
+    `place` is what stands between `://` and `?`, decoded; `options` what follows it.
+    """
+
+    text: str
+    scheme: str
+    place: str
+    options: dict[str, str]
+
+    def integer(self, key: str, low: int, high: int) -> int | None:
+        """Option `key` as a whole number in low…high, or None."""
+        text = self.options.get(key)
+        if text is None:
+            return None
+        if not text.isdigit() or not low <= int(text) <= high:
+            raise UsageError(f"{self.text}: {key}={text} must be a whole number {low}…{high}")
+        return int(text)
+
+
+def parse(text: str) -> Link:
+    """Split a LINK; raises UsageError."""
+    parts = urlsplit(text)
+    if parts.scheme not in SCHEMES or "://" not in text:
+        known = ", ".join(f"{scheme}://" for scheme in SCHEMES)
+        raise UsageError(f"'{text}' is no link and no axis file; a link begins with {known}")
+    place = text.split("://", 1)[1].split("?", 1)[0]
+    try:
+        options = dict(parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query)))
+    except ValueError:
+        raise UsageError(f"'{text}': options are written ?key=value&key=value") from None
+    return Link(text, parts.scheme, place, options)
+
+
+def axis_of(link_text: str) -> Axis:
+    """The axis that a bare LINK stands for: a virtual one is known, any other is rotary."""
+    link = parse(link_text)
+    if link.scheme != "virtual":
+        return Axis(name="axis", link=link_text)
+    virtual = _virtual_axis(link)
+    linear = virtual.motion == "linear"
+    return Axis(
+        name=virtual.name,
+        link=link_text,
+        profile="virtual-modbus",
+        travel=virtual.travel,
+        mechanics=Mechanics(
+            motion=virtual.motion,
+            feed=6.283185307179586 if linear else None,
+            held_by="brake" if virtual.brake else "friction",
+        ),
+        limits=AxisLimits(),
+    )
+
+
+def open_drive(
+    axis: Axis, *, cycle: float | None = None, trace: Trace | None = None
+) -> ProfiledDrive:
+    """Connect to the drive of `axis` and check its identity against the profile.
+
+    Parameters
+    ----------
+    axis : Axis
+        Its `link` must be set. Without a profile, the one that fits the identity is taken.
+    cycle : s, of the exchange; default: the axis', else the profile's
+    trace : called with every frame
+
+    Raises
+    ------
+    UsageError, LinkError, IdentityMismatch, PreflightRefused
+    """
+    if axis.link is None:
+        raise UsageError(f"axis '{axis.name}' has no link: add one to its file")
+    link = parse(axis.link)
+    named = load_profile(axis.profile) if axis.profile else None
+    if named is not None and named.bus != ("canopen" if link.scheme == "canopen" else "modbus"):
+        raise UsageError(f"profile '{named.name}' is for {named.bus}, the link is {link.scheme}://")
+    opener = {"virtual": _open_virtual, "modbus-tcp": _open_modbus, "canopen": _open_canopen}
+    return opener[link.scheme](link, axis, named, cycle or axis.cycle, trace)
+
+
+def _open_virtual(
+    link: Link, axis: Axis, profile: Profile | None, cycle: float | None, _trace: Trace | None
+) -> ProfiledDrive:
+    from drivers.virtual.device import Device
+    from drivers.virtual.direct import DirectBus
+    from drivers.virtual.firmware import Firmware
+    from drivers.virtual.memory import Memory
+
+    virtual = _virtual_axis(link)
+    device = Device(Firmware(virtual, Memory(state_file(link))), "step")
+    if cycle is not None:
+        device.cycle = round(cycle * 1e9)
+    profile = profile or load_profile("virtual-modbus")
+    return ProfiledDrive(DirectBus(device, profile), profile, axis, link.text)
+
+
+def _virtual_axis(link: Link) -> Any:
+    from drivers.virtual.axes import configured
+
+    return configured(
+        link.place.strip("/"), {k: v for k, v in link.options.items() if k != "state"}
+    )
+
+
+def state_file(link: Link) -> Path:
+    """Non-volatile memory of a virtual link: its `state`, else one a name and option set."""
+    if "state" in link.options:
+        return Path(link.options["state"])
+    virtual = _virtual_axis(link)
+    return home() / "virtual" / f"{virtual.name}-{virtual.serial:08x}.json"
+
+
+def _open_modbus(
+    link: Link, axis: Axis, profile: Profile | None, cycle: float | None, trace: Trace | None
+) -> ProfiledDrive:
+    _only(link, {"unit", "timeout", "clock"})
+    host, colon, port = link.place.rstrip("/").rpartition(":")
+    if not colon:
+        host, port = port, str(_MODBUS_PORT)
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise UsageError(f"{link.text}: a Modbus link is modbus-tcp://HOST:PORT?unit=N")
+    from drivers.modbus.bus import ModbusBus, identify
+    from drivers.modbus.client import Client
+
+    unit = link.integer("unit", 0, 255)
+    if unit is None:
+        unit = profile.link.unit if profile and profile.link.unit is not None else 1
+    client = Client(host.strip("[]"), int(port), unit, _timeout(link, profile), trace)
+    try:
+        chosen = _agree(identify(client), "modbus", profile)
+        bus = ModbusBus(client, chosen, _pace(link, cycle or chosen.link.cycle))
+        return ProfiledDrive(bus, chosen, axis, link.text)
+    except BaseException:
+        client.close()
+        raise
+
+
+def _open_canopen(
+    link: Link, axis: Axis, profile: Profile | None, cycle: float | None, trace: Trace | None
+) -> ProfiledDrive:
+    _only(link, {"node", "bitrate", "timeout", "clock"})
+    interface, slash, channel = link.place.partition("/")
+    node = link.integer("node", 1, 127) or (profile.link.node if profile else None)
+    if not slash or not channel or node is None:
+        raise UsageError(
+            f"{link.text}: a CANopen link is canopen://INTERFACE/CHANNEL?node=N, for example "
+            "canopen://socketcan/can0?node=5"
+        )
+    from drivers.canopen.bus import CanopenBus, identify
+    from drivers.canopen.wire import CanWire, open_bus
+
+    bitrate = link.integer("bitrate", 10_000, 1_000_000)
+    if bitrate is None:
+        bitrate = profile.link.bitrate if profile and profile.link.bitrate else 500_000
+    timeout = _timeout(link, profile)
+    wire = CanWire(open_bus(interface, unquote(channel), bitrate, timeout), node, timeout, trace)
+    try:
+        chosen = _agree(identify(wire), "canopen", profile)
+        bus = CanopenBus(wire, chosen, _pace(link, cycle or chosen.link.cycle))
+        return ProfiledDrive(bus, chosen, axis, link.text)
+    except BaseException:
+        wire.close()
+        raise
+
+
+def _only(link: Link, known: set[str]) -> None:
+    for key in link.options:
+        if key not in known:
+            raise UsageError(f"{link.text}: no option '{key}'; there are: {', '.join(sorted(known))}")
+    if link.options.get("clock", "wall") not in ("wall", "step"):
+        raise UsageError(f"{link.text}: clock is wall or step")
+
+
+def _timeout(link: Link, profile: Profile | None) -> float:
+    text = link.options.get("timeout")
+    if text is None:
+        return profile.link.service_timeout if profile else _CONNECT_TIMEOUT / 3
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 < value <= 60:
+        raise UsageError(f"{link.text}: timeout={text} must be 0…60 s")
+    return value
+
+
+def _pace(link: Link, cycle: float) -> Pace:
+    return StepPace(cycle) if link.options.get("clock") == "step" else WallPace(cycle)
+
+
+def _agree(identity: Identity, bus: str, named: Profile | None) -> Profile:
+    """The named profile if the drive is what it is for, else the one that fits."""
+    if named is None:
+        return fitting(identity, bus)
+    if not named.identity.accepts(identity):
+        raise IdentityMismatch(
+            f"the drive is {identity}, but profile '{named.name}' is for vendor "
+            f"{named.identity.vendor or 'any'}, product {named.identity.product or 'any'}"
+            + (f", revision {' or '.join(named.identity.revisions)}" if named.identity.revisions else "")
+        )
+    return named

@@ -1,0 +1,172 @@
+"""Modbus as a bus: registers by address, and the cycle by FC 23, or FC 16 then FC 3."""
+
+from __future__ import annotations
+
+from drivers.drive import Exchange
+from drivers.modbus.client import Client, NoAnswer
+from drivers.modbus.registers import decode, encode
+from drivers.pace import Pace
+from profiles.errors import AccessDenied, LinkError, LinkLost, ProfileError
+from profiles.schema import Address, Identity, ModbusAddress, Profile
+
+__all__ = ["ModbusBus", "identify"]
+
+MISSED_CYCLES = 3  # consecutive cycles without a sample are a lost link (safety, receive deadline)
+SHORTEST_DEADLINE = 0.01  # s: below this, a stall of the host would pass for a dead link
+
+
+def identify(client: Client) -> Identity:
+    """Vendor, product and revision by FC 43/14; a drive without it has empty ones."""
+    try:
+        found = client.identification()
+    except AccessDenied:
+        found = {}
+    return Identity(
+        vendor=found.get(0, ""),
+        product=found.get(1, ""),
+        revision=found.get(2, ""),
+        serial="",
+    )
+
+
+class ModbusBus:
+    """One unit on one connection.
+
+    Parameters
+    ----------
+    client : Client
+    profile : Profile
+    pace : Pace
+        Its cycle is the link's.
+    """
+
+    def __init__(self, client: Client, profile: Profile, pace: Pace) -> None:
+        self.cycle = pace.cycle
+        self._client = client
+        self._pace = pace
+        self._profile = profile
+        self._deadline = max(pace.cycle, SHORTEST_DEADLINE)
+        self._out = _Block(profile, profile.cycle.out)
+        self._in = _Block(profile, profile.cycle.in_)
+        self._one_transaction = profile.cycle.function == "fc23"
+        if pace.stepping:
+            self._set_simulation("simulation_cycle", pace.cycle)
+
+    def identify(self) -> Identity:
+        """Ask the drive who it is."""
+        return identify(self._client)
+
+    def read(self, address: Address) -> int:
+        """Raw value; raises LinkError, AccessDenied."""
+        at = _modbus(address)
+        try:
+            return decode(at, self._client.read(at.read_function, at.register_, at.count))
+        except AccessDenied as error:
+            raise AccessDenied(f"{at}: {error}") from None
+
+    def write(self, address: Address, raw: int) -> None:
+        """Write a raw value; raises LinkError, AccessDenied."""
+        at = _modbus(address)
+        try:
+            self._client.write(at.write_function, at.register_, encode(at, raw))
+        except AccessDenied as error:
+            raise AccessDenied(f"{at}: {error}") from None
+
+    def post(self, address: Address, raw: int) -> None:
+        """Send a write; no answer is waited for."""
+        at = _modbus(address)
+        self._client.post(at.write_function, at.register_, encode(at, raw))
+
+    def start(self, idle: tuple[int, ...]) -> None:
+        """Nothing to set up: the cycle begins with the first exchange."""
+
+    def exchange(self, values: tuple[int, ...]) -> Exchange:
+        """One cycle; a missing answer lets the next cycle go out, three of them are a lost link."""
+        words = self._out.encode(values)
+        missed = 0
+        while True:
+            pace = self._pace
+            lateness = pace.next_deadline()
+            sent = pace.now() - (pace.cycle if pace.stepping else 0.0)
+            try:
+                answer = self._transact(words)
+            except NoAnswer as error:
+                missed += 1
+                if missed >= MISSED_CYCLES:
+                    raise LinkLost(
+                        f"no answer for {missed} cycles of {self.cycle * 1000:g} ms: the link is "
+                        f"lost ({error})"
+                    ) from None
+                continue
+            received = pace.now()
+            # in real time the drive latched the position between the two, most likely midway
+            time = received if pace.stepping else 0.5 * (sent + received)
+            return Exchange(self._in.decode(answer), sent, time, lateness, missed)
+
+    def _transact(self, words: list[int]) -> list[int]:
+        client, out, into = self._client, self._out, self._in
+        if self._one_transaction:
+            return client.read_write(into.start, into.count, out.start, words, self._deadline)
+        client.write(16, out.start, words, self._deadline)
+        return client.read(3, into.start, into.count, self._deadline)
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass; on a stepping drive, by asking it to."""
+        if self._pace.stepping:
+            self._set_simulation("simulation_advance", seconds)
+        self._pace.pass_time(seconds)
+
+    def _set_simulation(self, name: str, seconds: float) -> None:
+        parameter = self._profile.parameters.get(name)
+        if parameter is None:
+            raise LinkError(
+                f"clock=step needs a served virtual drive; profile '{self._profile.name}' has no "
+                f"'{name}'"
+            )
+        try:
+            self.write(parameter.address, round(seconds / parameter.scale))
+        except AccessDenied:
+            raise LinkError(
+                "the drive does not step: serve it with --clock step, or leave clock=step away"
+            ) from None
+
+    def trouble(self) -> str:
+        """Modbus drives report nothing by themselves."""
+        return ""
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._client.close()
+
+
+class _Block:
+    """Parameters that lie one after the other and are exchanged as one block of registers."""
+
+    def __init__(self, profile: Profile, names: tuple[str, ...]) -> None:
+        addresses = [_modbus(profile.parameters[name].address) for name in names]
+        self.start = addresses[0].register_
+        self._spans: list[tuple[ModbusAddress, int, int]] = []
+        at = self.start
+        for name, address in zip(names, addresses, strict=True):
+            if address.register_ != at:
+                raise ProfileError(
+                    f"profile '{profile.name}': [cycle] '{name}' is at {address}, where register "
+                    f"{at:04X}h must follow: a block has no gaps"
+                )
+            self._spans.append((address, at - self.start, at - self.start + address.count))
+            at += address.count
+        self.count = at - self.start
+
+    def encode(self, values: tuple[int, ...]) -> list[int]:
+        words: list[int] = []
+        for (address, _, _), value in zip(self._spans, values, strict=True):
+            words += encode(address, value)
+        return words
+
+    def decode(self, words: list[int]) -> tuple[int, ...]:
+        return tuple(decode(address, words[a:b]) for address, a, b in self._spans)
+
+
+def _modbus(address: Address) -> ModbusAddress:
+    assert isinstance(address, ModbusAddress)  # the profile's bus was checked when it was loaded
+    return address

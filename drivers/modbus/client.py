@@ -1,0 +1,201 @@
+"""pymodbus, behind one door: requests with one answer or one of our errors, never a retry."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import socket
+from collections.abc import Callable
+from typing import Any
+
+from pymodbus.client import ModbusTcpClient
+from pymodbus.exceptions import ConnectionException, ModbusException
+from pymodbus.pdu import ModbusPDU
+
+from profiles.errors import AccessDenied, LinkError, LinkLost
+
+__all__ = ["Client", "NoAnswer"]
+
+logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
+
+# Modbus Application Protocol V1.1b3, section 7
+_EXCEPTIONS = {
+    1: "illegal function",
+    2: "illegal data address",
+    3: "illegal data value",
+    4: "server device failure",
+    5: "acknowledge",
+    6: "server device busy",
+    8: "memory parity error",
+    10: "gateway path unavailable",
+    11: "gateway target device failed to respond",
+}
+
+Trace = Callable[[bool, bytes], None]
+
+_POST_ANSWER = 0.01  # s that a posted write may hold up the next one
+_NEVER_DISCONNECT = 1_000_000  # the receive deadline is ours to judge, not the library's
+
+
+class NoAnswer(LinkError):
+    """The time-out of one request has passed; the next one may be answered."""
+
+
+class Client:
+    """One connection to one unit.
+
+    Parameters
+    ----------
+    host, port, unit : where the drive is
+    timeout : s, for connecting and for requests outside the cycle
+    trace : called with (sending, bytes) for every frame
+
+    Raises
+    ------
+    LinkError
+        The host cannot be reached.
+    """
+
+    def __init__(
+        self, host: str, port: int, unit: int, timeout: float, trace: Trace | None = None
+    ) -> None:
+        self.where = f"{host}:{port} unit {unit}"
+        self._unit = unit
+        self._timeout = timeout
+        self._trace = trace
+        self._heard = 0
+        self._client = ModbusTcpClient(
+            host, port=port, timeout=timeout, retries=0, trace_packet=self._on_packet
+        )
+        try:
+            self._client.socket = socket.create_connection((host, port), timeout)
+        except TimeoutError:
+            raise LinkError(
+                f"{host}:{port} does not answer within {timeout:g} s; is the address right, the "
+                "cable in, the drive on?"
+            ) from None
+        except OSError as error:
+            raise LinkError(
+                f"cannot connect to {host}:{port}: {error.strerror or error}; is the address "
+                "right, and Modbus TCP switched on in the drive?"
+            ) from None
+        self._client.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def _on_packet(self, sending: bool, data: bytes) -> bytes:
+        if not sending:
+            self._heard += len(data)
+        if self._trace is not None:
+            self._trace(sending, data)
+        return data
+
+    def _ask(
+        self, request: Callable[..., ModbusPDU], timeout: float | None, **arguments: Any
+    ) -> ModbusPDU:
+        """One request, one answer; both of pymodbus' error channels become our errors."""
+        client = self._client
+        if client.socket is None:
+            raise LinkLost(f"the connection to {self.where} is closed")
+        client.transaction.count_until_disconnect = _NEVER_DISCONNECT
+        client.comm_params.timeout_connect = self._timeout if timeout is None else timeout
+        client.transaction.comm_params.timeout_connect = client.comm_params.timeout_connect
+        self._heard = 0
+        try:
+            answer = request(device_id=self._unit, **arguments)
+        except ConnectionException:
+            raise LinkLost(
+                f"{self.where} closed the connection (cable, power, or too many masters?)"
+            ) from None
+        except (ModbusException, OSError) as error:
+            if isinstance(error, OSError):
+                self._drop()
+                raise LinkLost(f"the connection to {self.where} broke: {error}") from None
+            if self._heard:
+                raise NoAnswer(
+                    f"{self.where} answers, but not to what was asked ({self._heard} bytes within "
+                    f"{client.comm_params.timeout_connect * 1000:g} ms): is it a Modbus port, and "
+                    "the unit right?"
+                ) from None
+            raise NoAnswer(
+                f"{self.where} does not answer within "
+                f"{client.comm_params.timeout_connect * 1000:g} ms"
+            ) from None
+        except (IndexError, ValueError, KeyError, AttributeError, TypeError) as error:
+            # a malformed answer trips the library's decoder
+            raise LinkError(
+                f"{self.where} sent an answer that is no Modbus ({type(error).__name__}: {error})"
+            ) from None
+        if answer.isError():
+            code = getattr(answer, "exception_code", 0)
+            raise AccessDenied(
+                f"{self.where} refuses function {answer.function_code & 0x7F}: exception {code} "
+                f"({_EXCEPTIONS.get(code, 'unknown')})"
+            )
+        return answer
+
+    def read(self, function: int, address: int, count: int, timeout: float | None = None) -> list[int]:
+        """Registers by FC 3 or 4."""
+        request = (
+            self._client.read_holding_registers
+            if function == 3
+            else self._client.read_input_registers
+        )
+        answer = self._ask(request, timeout, address=address, count=count)
+        return self._registers(answer, count)
+
+    def write(
+        self, function: int, address: int, words: list[int], timeout: float | None = None
+    ) -> None:
+        """Registers by FC 6 or 16."""
+        if function == 6 and len(words) == 1:
+            self._ask(self._client.write_register, timeout, address=address, value=words[0])
+        else:
+            self._ask(self._client.write_registers, timeout, address=address, values=words)
+
+    def read_write(
+        self, read_address: int, count: int, write_address: int, words: list[int], timeout: float
+    ) -> list[int]:
+        """Write, then read, in one transaction (FC 23)."""
+        answer = self._ask(
+            self._client.readwrite_registers,
+            timeout,
+            read_address=read_address,
+            read_count=count,
+            write_address=write_address,
+            values=words,
+        )
+        return self._registers(answer, count)
+
+    def post(self, function: int, address: int, words: list[int]) -> None:
+        """Send a write; an answer that does not come at once is not waited for. Raises LinkLost.
+
+        Drives take one transaction at a time, so a second post must not overtake the first.
+        """
+        with contextlib.suppress(NoAnswer):
+            self.write(function, address, words, _POST_ANSWER)
+
+    def identification(self) -> dict[int, str]:
+        """Basic device identification (FC 43/14), text by object id."""
+        found: dict[int, str] = {}
+        answer = self._ask(
+            self._client.read_device_information, None, read_code=1, object_id=0
+        )
+        for key, value in getattr(answer, "information", {}).items():
+            text = value if isinstance(value, bytes) else b"".join(value)
+            found[int(key)] = text.decode("ascii", "replace").strip()
+        return found
+
+    def _registers(self, answer: ModbusPDU, count: int) -> list[int]:
+        registers = list(getattr(answer, "registers", []))
+        if len(registers) != count:
+            raise LinkError(
+                f"{self.where} sent {len(registers)} registers where {count} were asked for"
+            )
+        return registers
+
+    def _drop(self) -> None:
+        with contextlib.suppress(OSError):
+            self._client.close()
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._drop()

@@ -1,0 +1,395 @@
+"""Any drive that a profile describes, on any bus: the verbs, made from raw accesses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import nan
+
+from drivers import cia402
+from drivers.drive import Bus, StopReport
+from drivers.sample import Sample
+from drivers.scaling import Scaling
+from profiles.axis import Axis
+from profiles.errors import (
+    DriveFault,
+    LinkError,
+    PreflightRefused,
+    TwoRelayError,
+    UnknownName,
+    WriteFailed,
+)
+from profiles.schema import (
+    Access,
+    Identity,
+    Mode,
+    ModeCode,
+    Parameter,
+    Profile,
+    Protection,
+    Step,
+    Trust,
+)
+
+__all__ = ["ProfiledDrive"]
+
+_POLL = 0.005  # s between two looks at a state
+_TRANSITION = 2.0  # s for one transition of the state machine, brake included
+
+
+class ProfiledDrive:
+    """A drive on `bus` as `profile` describes it, moving `axis`.
+
+    Raises PreflightRefused when the bases of the scaling cannot be known.
+    """
+
+    def __init__(self, bus: Bus, profile: Profile, axis: Axis, link: str) -> None:
+        self.profile = profile
+        self.link = link
+        self.cycle = bus.cycle
+        self._bus = bus
+        self._rest_raw = 0
+        self._energised = False
+        self.scaling = self._read_bases(axis)
+        self._select(Mode.TORQUE, profile.modes[Mode.TORQUE][0])
+        names = profile.cycle.in_
+        self._at_status = names.index("statusword")
+        self._at_position = names.index("position_actual")
+        self._at_torque = names.index("torque_actual") if "torque_actual" in names else None
+        self._position_step = self._step("position_actual")
+        self._torque_step = self._step("torque_actual") if self._at_torque is not None else nan
+
+    def _read_bases(self, axis: Axis) -> Scaling:
+        rated = axis.rated_torque
+        base = self._parameter("rated_torque")
+        if rated is None:
+            rated = self.read_raw("rated_torque") * base.scale
+            if rated <= 0:
+                raise PreflightRefused(
+                    f"the drive's rated torque ({base.address}) is {rated:g} N.m, so its torque "
+                    "scale is unknown; set up the motor data in the drive, or give rated_torque "
+                    "in the axis file"
+                )
+        increments = self.read_raw("encoder_increments")
+        revolutions = self.read_raw("encoder_revolutions")
+        if increments <= 0 or revolutions <= 0:
+            raise PreflightRefused(
+                f"the drive's encoder resolution is {increments}/{revolutions}: its position scale "
+                "is unknown; set up the encoder in the drive"
+            )
+        return Scaling(rated, increments / revolutions, axis.mechanics)
+
+    # -- parameters ------------------------------------------------------------------------------
+
+    def identity(self) -> Identity:
+        """Who the drive says it is; the serial from `serial_number` where the bus tells none."""
+        identity = self._bus.identify()
+        if identity.serial or "serial_number" not in self.profile.parameters:
+            return identity
+        serial = f"0x{self.read_raw('serial_number'):08X}"
+        return identity.model_copy(update={"serial": serial})
+
+    def read(self, name: str) -> float:
+        """Value of a parameter, SI at the axis."""
+        return self.scaling.to_si(self._parameter(name), self.read_raw(name))
+
+    def read_raw(self, name: str) -> int:
+        """Raw value of a parameter; raises LinkError, AccessDenied."""
+        parameter = self._parameter(name)
+        if parameter.access is Access.WRITE_ONLY:
+            raise WriteFailed(f"'{name}' ({parameter.address}) can only be written")
+        return self._bus.read(parameter.address)
+
+    def write(self, name: str, value: float) -> None:
+        """Write an experiment or compensation parameter (SI) and read it back."""
+        parameter = self._parameter(name)
+        self.write_raw(name, self.scaling.checked_raw(name, parameter, value))
+
+    def write_raw(self, name: str, raw: int) -> None:
+        """Write a raw value and read it back; raises WriteFailed, LinkError."""
+        parameter = self._parameter(name)
+        if parameter.protection not in (Protection.EXPERIMENT, Protection.COMPENSATION):
+            raise WriteFailed(
+                f"'{name}' has protection '{parameter.protection}' in profile "
+                f"'{self.profile.name}': it is not written"
+            )
+        if (
+            parameter.protection is Protection.COMPENSATION
+            and parameter.trust is Trust.UNVERIFIED
+        ):
+            raise WriteFailed(
+                f"'{name}' ({parameter.address}) is unverified in profile '{self.profile.name}': "
+                "it is not written; check the drive's manual and mark it in the profile"
+            )
+        low, high = parameter.raw_range
+        if not low <= raw <= high or raw in parameter.forbidden:
+            raise WriteFailed(f"'{name}': raw value {raw} is not allowed ({low:g}…{high:g})")
+        self._bus.write(parameter.address, raw)
+        self._verify(name, parameter, raw)
+
+    def _verify(self, name: str, parameter: Parameter, raw: int) -> None:
+        if parameter.access is Access.WRITE_ONLY:
+            return
+        there = self._bus.read(parameter.address)
+        if there != raw:
+            raise WriteFailed(
+                f"'{name}' ({parameter.address}) reads back {there} after {raw} was written: "
+                "the drive did not take it"
+            )
+
+    def store(self) -> None:
+        """Run the profile's store procedure; raises WriteFailed."""
+        if self.profile.store is None:
+            raise WriteFailed(
+                f"profile '{self.profile.name}' has no store procedure: the values are lost at "
+                "power-off"
+            )
+        self._perform(self.profile.store.steps, "store")
+
+    def arm_watchdog(self) -> tuple[str, ...]:
+        """Arm the drive-side watchdog; return the names of the parameters written."""
+        watchdog = self.profile.watchdog
+        if watchdog.parameter is None:
+            return ()
+        parameter = self._parameter(watchdog.parameter)
+        raw = self.scaling.to_raw(parameter, watchdog.timeout)
+        if watchdog.kind == "heartbeat":
+            raw |= watchdog.node << 16  # CiA 301, object 1016h: node in bits 16-23
+        self.write_raw(watchdog.parameter, raw)
+        if watchdog.reaction is None or watchdog.reaction_raw is None:
+            return (watchdog.parameter,)
+        self.write_raw(watchdog.reaction, watchdog.reaction_raw)
+        return (watchdog.parameter, watchdog.reaction)
+
+    # -- energy ----------------------------------------------------------------------------------
+
+    def status_text(self) -> str:
+        """State of the drive in words, with what it reported."""
+        text = cia402.state(self.read_raw("statusword"))
+        code = self.read_raw("error_code") if "error_code" in self.profile.parameters else 0
+        trouble = self._bus.trouble()
+        if code:
+            text += f", error code {code:04X}h"
+        return f"{text}, {trouble}" if trouble else text
+
+    def is_energised(self) -> bool:
+        """Whether the drive says that it controls the axis."""
+        word = self.read_raw("statusword")
+        return cia402.status(word).enabled or cia402.status(word).stopping
+
+    def in_fault(self) -> bool:
+        """Whether the drive reports a fault."""
+        return cia402.status(self.read_raw("statusword")).fault
+
+    def reset_fault(self) -> None:
+        """Acknowledge a fault; never enables. Raises PreflightRefused when the fault stays."""
+        control = self._parameter("controlword").address
+        self._bus.write(control, 0)
+        self._bus.write(control, cia402.FAULT_RESET)
+        self._bus.write(control, 0)
+        if self.in_fault():
+            raise PreflightRefused(
+                f"the drive stays in fault after a reset: {self.status_text()}; remove its cause"
+            )
+
+    def enable(self, mode: Mode, rest: float = 0.0) -> None:
+        """Energise in `mode` with `rest` (SI) as the set-point in force from the first moment."""
+        if self.in_fault():
+            raise PreflightRefused(
+                f"the drive is in fault: {self.status_text()}; remove the cause and reset it"
+            )
+        code = self._supported(mode)
+        self._perform(code.before, f"before mode {code.code}")
+        self._select(mode, code)
+        self._set_mode(code)
+        target = self._parameter(code.set_point)
+        self._rest_raw = (
+            self.read_raw("position_actual")
+            if mode is Mode.POSITION
+            else self.scaling.checked_raw(code.set_point, target, rest)
+        )
+        self._bus.write(target.address, self._rest_raw)
+        self._verify(code.set_point, target, self._rest_raw)
+        self._bus.start(self._frame(self._rest_raw))
+        self._energised = True
+        self._walk(enabled=True)
+
+    def disable(self) -> None:
+        """Take the energy away from an axis at rest; raises LinkError, DriveFault."""
+        self._bus.post(self._set_point.address, self._rest_raw)
+        self._walk(enabled=False)
+        self._energised = False
+
+    def _supported(self, mode: Mode) -> ModeCode:
+        codes = self.profile.modes.get(mode, ())
+        if not codes:
+            raise PreflightRefused(f"profile '{self.profile.name}' has no {mode} mode")
+        if "supported_modes" not in self.profile.parameters:
+            return codes[0]
+        bits = self.read_raw("supported_modes")
+        for code in codes:
+            if code.supported_bit is None or bits >> code.supported_bit & 1:
+                return code
+        wanted = " or ".join(str(code.code) for code in codes)
+        raise PreflightRefused(
+            f"the drive supports no {mode} mode: supported modes {bits:08X}h lack mode {wanted}"
+        )
+
+    def _set_mode(self, code: ModeCode) -> None:
+        self._bus.write(self._parameter("mode_of_operation").address, code.code)
+        for _ in range(round(_TRANSITION / _POLL)):
+            display = self.read_raw("mode_display")
+            if display == code.code:
+                return
+            self._bus.wait(_POLL)
+        raise PreflightRefused(f"the drive stays in mode {display} instead of {code.code}")
+
+    def _select(self, mode: Mode, code: ModeCode) -> None:
+        self._mode = mode
+        self._set_point = self._parameter(code.set_point)
+        self._set_point_step = self._step(code.set_point)
+        out = self.profile.cycle.out
+        if code.set_point not in out:
+            raise PreflightRefused(
+                f"profile '{self.profile.name}' does not exchange '{code.set_point}' in its cycle"
+            )
+        self._at_set_point = out.index(code.set_point)
+        self._idle = [0] * len(out)
+        if "controlword" in out:
+            self._idle[out.index("controlword")] = cia402.ENABLE
+
+    def _walk(self, *, enabled: bool) -> None:
+        """Walk the state machine, one transition at a time."""
+        control = self._parameter("controlword").address
+        goal = "enabled" if enabled else "disabled"
+        sent: tuple[str, int] | None = None
+        waited = 0.0
+        while True:
+            word = self.read_raw("statusword")
+            flags = cia402.status(word)
+            if flags.enabled if enabled else cia402.state(word) in (
+                "switch on disabled", "fault",
+            ):  # fmt: skip
+                return
+            if flags.fault and enabled:
+                raise DriveFault(f"the drive went into fault while enabling: {self.status_text()}")
+            step = cia402.next_controlword(word, enabled=enabled)
+            here = cia402.state(word)
+            if step is not None and sent != (here, step):
+                self._bus.write(control, step)
+                sent, waited = (here, step), 0.0
+                continue
+            if waited >= _TRANSITION:
+                raise PreflightRefused(
+                    f"the drive does not become {goal}: it stays '{here}' for {_TRANSITION:g} s "
+                    "(STO or enable input open, or no mains?)"
+                )
+            self._bus.wait(_POLL)
+            waited += _POLL
+
+    # -- cycle -----------------------------------------------------------------------------------
+
+    def exchange(self, set_point: float) -> Sample:
+        """Put `set_point` (SI) in force and return the first sample latched after that."""
+        raw = round(set_point / self._set_point_step)
+        values, sent, time, lateness, missed = self._bus.exchange(self._frame(raw))
+        at_torque = self._at_torque
+        return Sample(
+            time,
+            values[self._at_position] * self._position_step,
+            nan if at_torque is None else values[at_torque] * self._torque_step,
+            raw * self._set_point_step,
+            sent,
+            cia402.status(values[self._at_status]),
+            lateness,
+            missed,
+        )
+
+    def _frame(self, raw: int) -> tuple[int, ...]:
+        frame = self._idle.copy()
+        frame[self._at_set_point] = raw
+        return tuple(frame)
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass without a command."""
+        self._bus.wait(seconds)
+
+    # -- stop ------------------------------------------------------------------------------------
+
+    def stop(self, hurry: Callable[[], bool] = lambda: False) -> StopReport:
+        """Rest set-point and quick stop at once, then look, then take the energy away, then look.
+
+        `hurry` says that the energy must go now, without waiting for standstill. Never raises.
+        """
+        failures: list[str] = []
+
+        def attempt(action: Callable[[], None]) -> None:
+            try:
+                action()
+            except TwoRelayError as error:
+                failures.append(str(error))
+
+        def post(steps: tuple[Step, ...]) -> None:
+            for step in steps:
+                if step.write is not None and step.raw is not None:
+                    address, raw = self._parameter(step.write).address, step.raw
+                    attempt(lambda address=address, raw=raw: self._bus.post(address, raw))  # type: ignore[misc]
+
+        attempt(lambda: self._bus.post(self._set_point.address, self._rest_raw))
+        post(self.profile.stop)
+        if not hurry():
+            attempt(lambda: self._await_standstill(hurry))
+        post(self.profile.disable)
+        state: bool | None = None
+        for _ in range(3):
+            try:
+                state = not self.is_energised()
+            except TwoRelayError as error:
+                failures.append(str(error))
+                break
+            if state:
+                break
+            attempt(lambda: self._bus.wait(_POLL))
+        self._energised = state is False
+        return StopReport(state, tuple(dict.fromkeys(failures)))
+
+    def _await_standstill(self, hurry: Callable[[], bool]) -> None:
+        """Wait until the drive has stopped the axis and closed the brake, at most `stop_time`."""
+        for _ in range(round(self.profile.stop_time / _POLL)):
+            if not self.is_energised() or hurry():
+                return
+            self._bus.wait(_POLL)
+
+    def close(self) -> None:
+        """Stop what is still energised, and let go of the link."""
+        if self._energised:
+            self.stop()
+        self._bus.close()
+
+    # -- procedures ------------------------------------------------------------------------------
+
+    def _perform(self, steps: tuple[Step, ...], what: str) -> None:
+        for step in steps:
+            if step.write is not None and step.raw is not None:
+                self._bus.write(self._parameter(step.write).address, step.raw)
+                continue
+            name = step.until or ""
+            waited = 0.0
+            while (there := self._bus.read(self._parameter(name).address)) & step.mask != step.equals:
+                if waited >= step.within:
+                    raise WriteFailed(
+                        f"{what}: '{name}' reads {there} for {step.within:g} s instead of "
+                        f"{step.equals}"
+                    )
+                self._bus.wait(_POLL)
+                waited += _POLL
+
+    def _parameter(self, name: str) -> Parameter:
+        try:
+            return self.profile.parameters[name]
+        except KeyError:
+            raise UnknownName(
+                f"parameter in profile '{self.profile.name}'", name, list(self.profile.parameters)
+            ) from None
+
+    def _step(self, name: str) -> float:
+        return self.scaling.step(self._parameter(name))

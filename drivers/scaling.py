@@ -1,0 +1,101 @@
+"""Raw values of a drive against SI at the axis.
+
+The drive counts in shares of its rated torque, increments and motor revolutions; the axis adds gear
+and feed. SI at the axis is rad or m, N.m or N, and their derivatives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+
+from profiles.axis import Mechanics
+from profiles.errors import WriteFailed
+from profiles.schema import Parameter, Unit
+
+__all__ = ["Scaling"]
+
+
+@dataclass(frozen=True, slots=True)
+class Scaling:
+    """Conversion for one drive on one axis.
+
+    Parameters
+    ----------
+    rated_torque : N.m of the motor
+    increments_per_revolution : of the motor
+    mechanics : gear and feed
+    """
+
+    rated_torque: float
+    increments_per_revolution: float
+    mechanics: Mechanics
+
+    def step(self, parameter: Parameter) -> float:
+        """Value of one raw step in SI at the axis."""
+        return parameter.scale * self._unit(parameter.unit)
+
+    def to_si(self, parameter: Parameter, raw: float) -> float:
+        """SI value of `raw`."""
+        return raw * self.step(parameter)
+
+    def to_raw(self, parameter: Parameter, value: float) -> int:
+        """Nearest raw value to `value` (SI); not yet checked against the range."""
+        return round(value / self.step(parameter))
+
+    def checked_raw(self, name: str, parameter: Parameter, value: float) -> int:
+        """Nearest raw value, checked against range and forbidden values; raises WriteFailed."""
+        raw = self.to_raw(parameter, value)
+        low, high = parameter.raw_range
+        if not low <= raw <= high:
+            unit = self.unit_text(parameter)
+            raise WriteFailed(
+                f"'{name}': {value:.6g} {unit} is outside {self.to_si(parameter, low):.6g}…"
+                f"{self.to_si(parameter, high):.6g} {unit}; nothing was written"
+            )
+        if raw in parameter.forbidden:
+            raise WriteFailed(
+                f"'{name}': raw value {raw} must never be written to this drive; nothing was written"
+            )
+        return raw
+
+    def unit_text(self, parameter: Parameter) -> str:
+        """ASCII unit of the SI value at the axis."""
+        rotary = self.mechanics.motion == "rotary"
+        position, effort = ("rad", "N.m") if rotary else ("m", "N")
+        return {
+            Unit.NONE: "1",
+            Unit.SECOND: "s",
+            Unit.TORQUE: effort,
+            Unit.RATED_TORQUE: effort,
+            Unit.RATED_TORQUE_PER_SECOND: f"{effort}/s",
+            Unit.RATED_TORQUE_PER_SPEED: f"{effort}.s/{position}",
+            Unit.REVOLUTION: position,
+            Unit.INCREMENT: position,
+            Unit.INCREMENT_PER_SECOND: f"{position}/s",
+            Unit.SPEED: f"{position}/s",
+            Unit.RPM: f"{position}/s",
+        }[parameter.unit]
+
+    def raw_unit(self, parameter: Parameter) -> str:
+        """What the drive counts in, for people: '0.001 rated', 'increment'."""
+        return parameter.unit.value if parameter.scale == 1 else (
+            f"{parameter.scale:g} {parameter.unit.value}"
+        )
+
+    def _unit(self, unit: Unit) -> float:
+        travel = self.mechanics.travel_per_revolution  # rad or m a motor revolution
+        effort = self.mechanics.effort_per_torque
+        return {
+            Unit.NONE: 1.0,
+            Unit.SECOND: 1.0,
+            Unit.TORQUE: effort,
+            Unit.RATED_TORQUE: self.rated_torque * effort,
+            Unit.RATED_TORQUE_PER_SECOND: self.rated_torque * effort,
+            Unit.RATED_TORQUE_PER_SPEED: self.rated_torque * effort * 2 * pi / travel,
+            Unit.REVOLUTION: travel,
+            Unit.INCREMENT: travel / self.increments_per_revolution,
+            Unit.INCREMENT_PER_SECOND: travel / self.increments_per_revolution,
+            Unit.SPEED: travel / (2 * pi),
+            Unit.RPM: travel / 60,
+        }[unit]

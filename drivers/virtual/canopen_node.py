@@ -1,0 +1,516 @@
+"""The virtual drive as a CANopen node (CiA 301 and 402): frames in, frames out, no I/O.
+
+SDO server (expedited and segmented), NMT, heartbeat producer and consumer, EMCY, SYNC-driven and
+event-driven PDOs with their event timers.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from drivers.virtual.device import Device
+from drivers.virtual.firmware import (
+    ERROR_HEARTBEAT,
+    ERROR_PDO_TIMEOUT,
+    Denied,
+    Reason,
+)
+
+__all__ = ["CanopenNode", "Frame"]
+
+VENDOR = 0x00007457
+PRODUCT = 0x00000001
+REVISION = 0x00010000
+_MS = 1_000_000  # ns
+
+_PRE_OPERATIONAL, _OPERATIONAL, _STOPPED = 0x7F, 0x05, 0x04
+_OFF = 1 << 31
+
+# CiA 301, SDO abort codes
+_ABORT_TOGGLE = 0x05030000
+_ABORT_COMMAND = 0x05040001
+_ABORT_WRITE_ONLY = 0x06010001
+_ABORT_READ_ONLY = 0x06010002
+_ABORT_NO_OBJECT = 0x06020000
+_ABORT_NOT_MAPPABLE = 0x06040041
+_ABORT_PDO_LENGTH = 0x06040042
+_ABORT_LENGTH = 0x06070010
+_ABORT_NO_SUB = 0x06090011
+_ABORT_RANGE = 0x06090030
+_ABORT_STATE = 0x08000022
+
+
+class Frame(NamedTuple):
+    """One CAN frame with an 11-bit identifier."""
+
+    cob_id: int
+    data: bytes
+
+
+class _Abort(Exception):
+    def __init__(self, code: int) -> None:
+        super().__init__(f"{code:08X}h")
+        self.code = code
+
+
+class _Entry(NamedTuple):
+    """Object entry that mirrors a firmware value: od value * factor = firmware value."""
+
+    key: str
+    code: str
+    access: str = "rw"
+    factor: int = 1
+
+
+_OBJECTS: dict[tuple[int, int], _Entry] = {
+    (0x1006, 0): _Entry("simulation_cycle", "I"),
+    (0x2010, 1): _Entry("torque_offset", "h"),
+    (0x2010, 2): _Entry("coulomb_positive", "H"),
+    (0x2010, 3): _Entry("coulomb_negative", "H"),
+    (0x2010, 4): _Entry("viscous_gain", "H"),
+    (0x2FF0, 0): _Entry("simulation_advance", "I"),
+    (0x6007, 0): _Entry("abort_connection_option", "h"),
+    (0x603F, 0): _Entry("error_code", "H", "ro"),
+    (0x6040, 0): _Entry("controlword", "H"),
+    (0x6041, 0): _Entry("statusword", "H", "ro"),
+    (0x605A, 0): _Entry("quick_stop_option", "h"),
+    (0x6060, 0): _Entry("mode", "b"),
+    (0x6061, 0): _Entry("mode_display", "b", "ro"),
+    (0x6064, 0): _Entry("position_actual", "i", "ro"),
+    (0x6065, 0): _Entry("following_window", "I"),
+    (0x606C, 0): _Entry("velocity_actual", "i", "ro"),
+    (0x6071, 0): _Entry("torque_target", "h"),
+    (0x6072, 0): _Entry("max_torque", "H"),
+    (0x6076, 0): _Entry("rated_torque", "I", "ro", 1000),
+    (0x6077, 0): _Entry("torque_actual", "h", "ro"),
+    (0x607A, 0): _Entry("position_target", "i"),
+    (0x6080, 0): _Entry("max_speed", "I", "rw", 10),
+    (0x6087, 0): _Entry("torque_slope", "I"),
+    (0x608F, 1): _Entry("encoder_increments", "I", "ro"),
+    (0x608F, 2): _Entry("encoder_revolutions", "I", "ro"),
+    (0x60FF, 0): _Entry("velocity_target", "i"),
+    (0x6502, 0): _Entry("supported_modes", "I", "ro"),
+}
+
+_STRINGS = {0x1008: b"tworelay virtual drive", 0x1009: b"none", 0x100A: b"1.0"}
+_COUNTS = {0x1010: 1, 0x1016: 1, 0x1018: 4, 0x2010: 4, 0x608F: 2}
+
+_DENIALS = {
+    Reason.NO_OBJECT: _ABORT_NO_OBJECT,
+    Reason.READ_ONLY: _ABORT_READ_ONLY,
+    Reason.RANGE: _ABORT_RANGE,
+    Reason.STATE: _ABORT_STATE,
+}
+
+
+@dataclass
+class _Pdo:
+    """Communication and mapping parameters of one PDO."""
+
+    cob_id: int
+    transmission: int
+    entries: list[int]
+    event_timer: int = 0  # ms
+    count: int = 0
+    slots: list[int] = field(default_factory=lambda: [0] * 8)
+    pending: bytes | None = None
+    since: int = 0  # ns, last sent or received
+    syncs: int = 0
+    armed: bool = False
+
+    def __post_init__(self) -> None:
+        self.slots[: len(self.entries)] = self.entries
+        self.count = len(self.entries)
+
+    @property
+    def active(self) -> bool:
+        return not self.cob_id & _OFF
+
+    @property
+    def mapped(self) -> list[tuple[_Entry, int]]:
+        """Entry and its length in bytes, in order."""
+        found = []
+        for slot in self.slots[: self.count]:
+            found.append((_OBJECTS[slot >> 16, slot >> 8 & 0xFF], (slot & 0xFF) // 8))
+        return found
+
+
+class CanopenNode:
+    """Frames in by `receive`, time by `poll`; both return the frames that the node sends."""
+
+    def __init__(self, device: Device, node_id: int) -> None:
+        self.device = device
+        self.node_id = node_id
+        self.state = _PRE_OPERATIONAL
+        self._producer = 0  # ms, object 1017h
+        self._produced = 0  # ns
+        self._consumer_node = 0
+        self._outbox: list[Frame] = []
+        self._upload: bytes | None = None
+        self._download: tuple[int, int, bytearray] | None = None
+        self._toggle = 0
+        self._reset_pdos()
+        device.firmware.silence_code = ERROR_HEARTBEAT
+        device.firmware.on_emergency = self._emergency
+
+    def _reset_pdos(self) -> None:
+        n = self.node_id
+        self._rpdos = [
+            _Pdo(0x200 + n, 255, [0x60400010]),
+            _Pdo(_OFF | 0x300 + n, 255, [0x60400010, 0x60600008]),
+        ]
+        self._tpdos = [
+            _Pdo(0x180 + n, 255, [0x60410010]),
+            _Pdo(_OFF | 0x280 + n, 255, [0x60410010, 0x60610008]),
+        ]
+
+    def boot(self) -> list[Frame]:
+        """Boot-up message."""
+        return [Frame(0x700 + self.node_id, b"\0")]
+
+    def receive(self, cob_id: int, data: bytes) -> list[Frame]:
+        """Take one frame from the bus."""
+        device = self.device
+        device.catch_up()
+        if cob_id == 0x000 and len(data) == 2 and data[1] in (0, self.node_id):
+            self._nmt(data[0])
+        elif cob_id == 0x080:
+            self._sync()
+        elif cob_id == 0x600 + self.node_id and self.state != _STOPPED:
+            self._sdo(data)
+        elif cob_id == 0x700 + self._consumer_node and self._consumer_node:
+            device.firmware.feed_watchdog()
+        elif self.state == _OPERATIONAL:
+            for pdo in self._rpdos:
+                if pdo.active and cob_id == pdo.cob_id & 0x7FF:
+                    self._take_rpdo(pdo, data)
+        return self._flush()
+
+    def poll(self) -> list[Frame]:
+        """Let the timers of the node run."""
+        self.device.catch_up()
+        self._timers()
+        return self._flush()
+
+    def _flush(self) -> list[Frame]:
+        frames, self._outbox = self._outbox, []
+        return frames
+
+    def _send(self, cob_id: int, data: bytes) -> None:
+        self._outbox.append(Frame(cob_id, data))
+
+    # -- network management, errors, timers --------------------------------------------------------
+
+    def _nmt(self, command: int) -> None:
+        if command == 0x01:
+            self.state = _OPERATIONAL
+        elif command == 0x02:
+            self.state = _STOPPED
+        elif command == 0x80:
+            self.state = _PRE_OPERATIONAL
+        elif command in (0x81, 0x82):
+            if command == 0x81:
+                self.device.firmware.restart()
+            self._reset_pdos()
+            self._producer = 0
+            self.state = _PRE_OPERATIONAL
+            self._outbox += self.boot()
+
+    def _emergency(self, code: int) -> None:
+        data = struct.pack("<HB5x", code, self._error_register(code))
+        self._send(0x080 + self.node_id, data)
+
+    @staticmethod
+    def _error_register(code: int) -> int:
+        if code == 0:
+            return 0
+        return 0x11 if code >> 8 in (0x81, 0x82) else 0x01  # generic, communication
+
+    def _timers(self) -> None:
+        now = self.device.firmware.now
+        if self._producer and now - self._produced >= self._producer * _MS:
+            self._produced = now
+            self._send(0x700 + self.node_id, bytes((self.state,)))
+        for pdo in self._rpdos:
+            if pdo.armed and pdo.event_timer and now - pdo.since > pdo.event_timer * _MS:
+                pdo.armed = False
+                self.device.firmware.communication_lost(ERROR_PDO_TIMEOUT)
+        if self.state == _OPERATIONAL:
+            for pdo in self._tpdos:
+                if (
+                    pdo.active
+                    and pdo.transmission >= 254
+                    and pdo.event_timer
+                    and now - pdo.since >= pdo.event_timer * _MS
+                ):
+                    self._send_tpdo(pdo)
+
+    # -- PDO -----------------------------------------------------------------------------------------
+
+    def _take_rpdo(self, pdo: _Pdo, data: bytes) -> None:
+        pdo.since = self.device.firmware.now
+        pdo.armed = True
+        if pdo.transmission <= 240:
+            pdo.pending = data
+        else:
+            self._apply(pdo, data)
+
+    def _apply(self, pdo: _Pdo, data: bytes) -> None:
+        if len(data) < sum(length for _, length in pdo.mapped):
+            self._emergency(0x8210)  # PDO not processed: length
+            return
+        for entry, length in pdo.mapped:
+            value = struct.unpack("<" + entry.code, data[:length])[0]
+            data = data[length:]
+            try:
+                self.device.write(entry.key, value * entry.factor)
+            except Denied:
+                self._emergency(0x8220)
+
+    def _sync(self) -> None:
+        if self.state != _OPERATIONAL:
+            return
+        for pdo in self._rpdos:
+            if pdo.pending is not None:
+                data, pdo.pending = pdo.pending, None
+                self._apply(pdo, data)
+        self.device.end_cycle()
+        self._timers()
+        for pdo in self._tpdos:
+            if pdo.active and 1 <= pdo.transmission <= 240:
+                pdo.syncs += 1
+                if pdo.syncs >= pdo.transmission:
+                    pdo.syncs = 0
+                    self._send_tpdo(pdo)
+
+    def _send_tpdo(self, pdo: _Pdo) -> None:
+        pdo.since = self.device.firmware.now
+        data = b"".join(
+            struct.pack("<" + entry.code, self.device.read(entry.key) // entry.factor)
+            for entry, _ in pdo.mapped
+        )
+        self._send(pdo.cob_id & 0x7FF, data)
+
+    # -- SDO server ----------------------------------------------------------------------------------
+
+    def _sdo(self, data: bytes) -> None:
+        if len(data) != 8:
+            return
+        index, sub = struct.unpack_from("<HB", data, 1)
+        try:
+            specifier = data[0] >> 5
+            if specifier == 2:
+                self._begin_upload(index, sub)
+            elif specifier == 3:
+                self._upload_segment(data[0])
+            elif specifier == 1:
+                self._begin_download(index, sub, data)
+            elif specifier == 0:
+                self._download_segment(data)
+            elif specifier == 4:
+                self._upload = self._download = None
+            else:
+                raise _Abort(_ABORT_COMMAND)
+        except _Abort as abort:
+            self._upload = self._download = None
+            self._answer(struct.pack("<BHBI", 0x80, index, sub, abort.code))
+
+    def _answer(self, data: bytes) -> None:
+        self._send(0x580 + self.node_id, data.ljust(8, b"\0"))
+
+    def _begin_upload(self, index: int, sub: int) -> None:
+        value = self._read(index, sub)
+        if len(value) <= 4:
+            command = 0x43 | (4 - len(value)) << 2
+            self._answer(struct.pack("<BHB", command, index, sub) + value)
+        else:
+            self._upload, self._toggle = value, 0
+            self._answer(struct.pack("<BHBI", 0x41, index, sub, len(value)))
+
+    def _upload_segment(self, command: int) -> None:
+        if self._upload is None:
+            raise _Abort(_ABORT_COMMAND)
+        if command >> 4 & 1 != self._toggle:
+            raise _Abort(_ABORT_TOGGLE)
+        part, rest = self._upload[:7], self._upload[7:]
+        last = 0 if rest else 1
+        self._answer(bytes((self._toggle << 4 | (7 - len(part)) << 1 | last,)) + part)
+        self._toggle ^= 1
+        self._upload = rest or None
+
+    def _begin_download(self, index: int, sub: int, data: bytes) -> None:
+        command = data[0]
+        if command & 0x02:
+            size = 4 - (command >> 2 & 3) if command & 0x01 else 4
+            self._write(index, sub, data[4 : 4 + size], sized=bool(command & 0x01))
+        else:
+            self._download, self._toggle = (index, sub, bytearray()), 0
+        self._answer(struct.pack("<BHB", 0x60, index, sub))
+
+    def _download_segment(self, data: bytes) -> None:
+        if self._download is None:
+            raise _Abort(_ABORT_COMMAND)
+        command = data[0]
+        if command >> 4 & 1 != self._toggle:
+            raise _Abort(_ABORT_TOGGLE)
+        index, sub, collected = self._download
+        collected += data[1 : 8 - (command >> 1 & 7)]
+        if len(collected) > 1024:
+            raise _Abort(_ABORT_LENGTH)
+        if command & 1:
+            self._download = None
+            self._write(index, sub, bytes(collected), sized=True)
+        self._answer(bytes((0x20 | self._toggle << 4,)))
+        self._toggle ^= 1
+
+    # -- object dictionary ---------------------------------------------------------------------------
+
+    def _read(self, index: int, sub: int) -> bytes:
+        entry = _OBJECTS.get((index, sub))
+        if entry is not None:
+            if entry.access == "wo":
+                raise _Abort(_ABORT_WRITE_ONLY)
+            try:
+                value = self.device.read(entry.key) // entry.factor
+            except Denied as denied:
+                raise _Abort(_DENIALS[denied.reason]) from None
+            return struct.pack("<" + entry.code, value)
+        pdo = self._pdo(index)
+        if pdo is not None:
+            return self._read_pdo(pdo, index, sub)
+        if index in _STRINGS and sub == 0:
+            return _STRINGS[index]
+        if index in _COUNTS and sub == 0:
+            return bytes((_COUNTS[index],))
+        firmware = self.device.firmware
+        identity = (VENDOR, PRODUCT, REVISION, firmware.axis.serial)
+        plain: dict[tuple[int, int], bytes] = {
+            (0x1000, 0): struct.pack("<I", 0x00020192),
+            (0x1001, 0): bytes((self._error_register(firmware.error_code),)),
+            (0x1005, 0): struct.pack("<I", 0x80),
+            (0x1010, 1): struct.pack("<I", 1),
+            (0x1016, 1): struct.pack(
+                "<I", self._consumer_node << 16 | firmware.values["watchdog_time"]
+            ),
+            (0x1017, 0): struct.pack("<H", self._producer),
+            **{(0x1018, n + 1): struct.pack("<I", number) for n, number in enumerate(identity)},
+        }
+        value = plain.get((index, sub))
+        if value is None:
+            raise _Abort(self._missing(index))
+        return value
+
+    def _missing(self, index: int) -> int:
+        known = index in _COUNTS or index in _STRINGS or any(i == index for i, _ in _OBJECTS)
+        return _ABORT_NO_SUB if known or self._pdo(index) is not None else _ABORT_NO_OBJECT
+
+    def _write(self, index: int, sub: int, data: bytes, *, sized: bool) -> None:
+        entry = _OBJECTS.get((index, sub))
+        if entry is not None:
+            if entry.access == "ro":
+                raise _Abort(_ABORT_READ_ONLY)
+            value = self._number(data, entry.code, sized=sized)
+            self._to_device(entry.key, value * entry.factor)
+            return
+        pdo = self._pdo(index)
+        if pdo is not None:
+            self._write_pdo(pdo, index, sub, data)
+        elif (index, sub) == (0x1010, 1):
+            if data != b"save":
+                raise _Abort(_ABORT_RANGE)
+            self._to_device("store_command", 1)
+        elif (index, sub) == (0x1016, 1):
+            value = self._number(data, "I", sized=sized)
+            self._to_device("watchdog_time", value & 0xFFFF)
+            self._consumer_node = value >> 16 & 0x7F
+            self.device.firmware.unwatch()
+        elif (index, sub) == (0x1017, 0):
+            self._producer = self._number(data, "H", sized=sized)
+            self._produced = self.device.firmware.now
+        else:
+            known = True
+            try:
+                self._read(index, sub)
+            except _Abort:
+                known = False
+            raise _Abort(_ABORT_READ_ONLY if known else self._missing(index))
+
+    def _to_device(self, key: str, value: int) -> None:
+        try:
+            self.device.write(key, value)
+        except Denied as denied:
+            raise _Abort(_DENIALS[denied.reason]) from None
+
+    @staticmethod
+    def _number(data: bytes, code: str, *, sized: bool) -> int:
+        size = struct.calcsize("<" + code)
+        if sized and len(data) != size:
+            raise _Abort(_ABORT_LENGTH)
+        return int(struct.unpack("<" + code, data[:size])[0])
+
+    def _pdo(self, index: int) -> _Pdo | None:
+        for base, pdos in (
+            (0x1400, self._rpdos),
+            (0x1600, self._rpdos),
+            (0x1800, self._tpdos),
+            (0x1A00, self._tpdos),
+        ):
+            if base <= index < base + len(pdos):
+                return pdos[index - base]
+        return None
+
+    @staticmethod
+    def _read_pdo(pdo: _Pdo, index: int, sub: int) -> bytes:
+        if index & 0x0200:
+            if sub == 0:
+                return bytes((pdo.count,))
+            if sub > len(pdo.slots):
+                raise _Abort(_ABORT_NO_SUB)
+            return struct.pack("<I", pdo.slots[sub - 1])
+        try:
+            return {
+                0: b"\x05",
+                1: struct.pack("<I", pdo.cob_id),
+                2: bytes((pdo.transmission,)),
+                5: struct.pack("<H", pdo.event_timer),
+            }[sub]
+        except KeyError:
+            raise _Abort(_ABORT_NO_SUB) from None
+
+    def _write_pdo(self, pdo: _Pdo, index: int, sub: int, data: bytes) -> None:
+        value = int.from_bytes(data, "little")
+        if index & 0x0200:
+            self._write_mapping(pdo, sub, value)
+        elif sub == 1:
+            pdo.cob_id = value
+            pdo.armed = False
+        elif sub == 2:
+            pdo.transmission = value & 0xFF
+        elif sub == 5:
+            pdo.event_timer = value & 0xFFFF
+        else:
+            raise _Abort(_ABORT_NO_SUB if sub else _ABORT_READ_ONLY)
+
+    @staticmethod
+    def _write_mapping(pdo: _Pdo, sub: int, value: int) -> None:
+        if pdo.active:
+            raise _Abort(_ABORT_STATE)
+        if sub == 0:
+            if value > len(pdo.slots) or any(
+                (slot >> 16, slot >> 8 & 0xFF) not in _OBJECTS for slot in pdo.slots[:value]
+            ):
+                raise _Abort(_ABORT_NOT_MAPPABLE)
+            if sum(slot & 0xFF for slot in pdo.slots[:value]) > 64:
+                raise _Abort(_ABORT_PDO_LENGTH)
+            pdo.count = value
+            return
+        if sub > len(pdo.slots):
+            raise _Abort(_ABORT_NO_SUB)
+        if pdo.count:
+            raise _Abort(_ABORT_STATE)
+        entry = _OBJECTS.get((value >> 16, value >> 8 & 0xFF))
+        if entry is None or struct.calcsize("<" + entry.code) * 8 != value & 0xFF:
+            raise _Abort(_ABORT_NOT_MAPPABLE)
+        pdo.slots[sub - 1] = value

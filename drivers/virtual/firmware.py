@@ -1,0 +1,591 @@
+"""Firmware of the virtual drive: CiA 402 states, loops, limits, brake, watchdog, parameters.
+
+It knows no bus. Adapters read and write its objects by key, in raw integers, and let time pass.
+Time is counted in integer nanoseconds, so events fall exactly on cycle boundaries.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum, auto
+from math import pi
+
+from drivers.virtual.axes import VirtualAxis
+from drivers.virtual.memory import Memory
+from drivers.virtual.plant import Plant
+
+__all__ = ["Denied", "Firmware", "Reason", "State"]
+
+SECOND = 1_000_000_000  # ns
+_TICK = 250_000  # ns: period of the drive's own position and velocity loops
+_NEVER = 1 << 62
+_STORE_TIME = 20_000_000  # ns: the EEPROM is busy
+_BRAKE_RELEASE = 50_000_000  # ns
+_BRAKE_APPLY = 50_000_000  # ns
+_REST_SPEED_SHARE = 2e-4  # of the speed limit: slower than this counts as standstill
+
+MODE_PROFILE_TORQUE = 4
+MODE_PROFILE_VELOCITY = 3
+MODE_CYCLIC_POSITION = 8
+MODE_CYCLIC_VELOCITY = 9
+MODE_CYCLIC_TORQUE = 10
+_MODES = (3, 4, 8, 9, 10)
+_TORQUE_MODES = (MODE_PROFILE_TORQUE, MODE_CYCLIC_TORQUE)
+
+ERROR_COMMUNICATION = 0x8100
+ERROR_HEARTBEAT = 0x8130
+ERROR_PDO_TIMEOUT = 0x8250
+ERROR_FOLLOWING = 0x8611
+
+
+class State(Enum):
+    """Power state machine of CiA 402; the value is the statusword's state bits."""
+
+    SWITCH_ON_DISABLED = 0x40
+    READY_TO_SWITCH_ON = 0x21
+    SWITCHED_ON = 0x23
+    OPERATION_ENABLED = 0x27
+    QUICK_STOP_ACTIVE = 0x07
+    FAULT_REACTION_ACTIVE = 0x0F
+    FAULT = 0x08
+
+
+class Reason(Enum):
+    """Why the drive does not take a value."""
+
+    NO_OBJECT = auto()
+    READ_ONLY = auto()
+    RANGE = auto()
+    STATE = auto()
+
+
+class Denied(Exception):
+    """The drive refuses an access; adapters turn it into their bus' answer."""
+
+    def __init__(self, reason: Reason) -> None:
+        super().__init__(reason.name)
+        self.reason = reason
+
+
+@dataclass(frozen=True, slots=True)
+class _Object:
+    default: int
+    low: int = -(1 << 31)
+    high: int = (1 << 32) - 1
+    writable: bool = True
+    nonvolatile: bool = False
+
+
+def _objects(axis: VirtualAxis) -> dict[str, _Object]:
+    revolution = 2 * pi / axis.resolution
+    per_mille = round(1000 * axis.peak / axis.rated)
+
+    def setting(default: int, low: int, high: int) -> _Object:
+        return _Object(default, low, high, nonvolatile=True)
+
+    def fixed(value: int) -> _Object:
+        return _Object(value, writable=False)
+
+    return {
+        "controlword": _Object(0, 0, 0xFFFF),
+        "mode": _Object(0, -128, 127),
+        "torque_target": _Object(0, -32768, 32767),
+        "position_target": _Object(0),
+        "velocity_target": _Object(0),
+        "rated_torque": fixed(round(axis.rated * 1e6)),  # uN.m
+        "encoder_increments": fixed(round(revolution)),
+        "encoder_revolutions": fixed(1),
+        "supported_modes": fixed(sum(1 << (mode - 1) for mode in _MODES)),
+        "serial": fixed(axis.serial),
+        "max_torque": setting(per_mille, 0, per_mille),
+        "max_speed": setting(round(axis.speed * 600 / (2 * pi)), 0, 10_000_000),  # 0.1 rpm
+        "torque_slope": setting(0xFFFFFFFF, 1, 0xFFFFFFFF),  # per mille of rated a second
+        "quick_stop_option": setting(2, 0, 8),
+        "abort_connection_option": setting(1, 0, 3),
+        "watchdog_time": setting(round(axis.watchdog * 1000), 0, 65535),  # ms
+        "following_window": setting(round(revolution / 4), 0, (1 << 31) - 1),
+        "torque_offset": setting(0, -1000, 1000),  # per mille of rated
+        "coulomb_positive": setting(0, 0, 1000),
+        "coulomb_negative": setting(0, 0, 1000),
+        "viscous_gain": setting(0, 0, 65535),  # 1e-5 of rated a rad/s
+    }
+
+
+class Firmware:
+    """One drive.
+
+    Attributes
+    ----------
+    now : int
+        Simulated time since power-on, ns.
+    state : State
+    plant : Plant
+    on_emergency : callable(error_code)
+        Called when an error comes up (and with 0 when it is reset).
+    silence_code : int
+        Error code for a master that falls silent.
+    """
+
+    def __init__(self, axis: VirtualAxis, memory: Memory | None = None) -> None:
+        self.axis = axis
+        self.memory = memory or Memory(None)
+        self.plant = Plant(axis.plant)
+        self.plant.locked = axis.brake
+        self.now = 0
+        self.state = State.SWITCH_ON_DISABLED
+        self.error_code = 0
+        self.store_busy_until = 0
+        self.on_emergency: Callable[[int], None] = lambda code: None
+        self.silence_code = ERROR_COMMUNICATION
+        self._objects = _objects(axis)
+        self.values = {key: item.default for key, item in self._objects.items()}
+        self._recall()
+        self._unit = axis.rated / 1000  # N.m or N of one per mille
+        self._resolution = axis.resolution
+        self._delay = round(axis.delay * SECOND)
+        self._queue: deque[tuple[int, float]] = deque()
+        self._torque_command = 0.0  # in force at the motor, N.m or N
+        self._ramped = 0.0  # torque command behind the slope, N.m or N
+        self._limiting = False
+        self._timer = _NEVER
+        self._on_timer: Callable[[], None] = lambda: None
+        self._watched = False
+        self._fed = 0
+        self._tick_at = 0
+        self._energised = False
+        self._after_stop = State.SWITCH_ON_DISABLED
+        self._loop = _Loops(axis)
+        self._interpolation = round(axis.cycle * SECOND)
+        self._position_from = 0.0
+        self._position_step = 0.0
+        self._position_command = 0.0
+        self._arrived_at = 0
+
+    def _recall(self) -> None:
+        """Take the non-volatile values from memory."""
+        for key, value in self.memory.load().items():
+            item = self._objects.get(key)
+            if item is not None and item.nonvolatile and item.low <= value <= item.high:
+                self.values[key] = value
+
+    def restart(self) -> None:
+        """Switch off and on again: energy gone, volatile values lost."""
+        self._power_off(State.SWITCH_ON_DISABLED)
+        self.error_code = 0
+        self._watched = False
+        self.values = {key: item.default for key, item in self._objects.items()}
+        self._recall()
+
+    # -- what adapters see -------------------------------------------------------------------------
+
+    @property
+    def energised(self) -> bool:
+        """Whether the power stage is on."""
+        return self._energised
+
+    @property
+    def statusword(self) -> int:
+        """Statusword 6041h."""
+        word = self.state.value | 0x0200  # remote
+        if self.state is not State.SWITCH_ON_DISABLED and self.state is not State.FAULT:
+            word |= 0x0010  # voltage enabled
+        if self._limiting:
+            word |= 0x0800  # internal limit active
+        if self.state is State.OPERATION_ENABLED:
+            word |= 0x1000  # follows the command
+        return word
+
+    @property
+    def position(self) -> int:
+        """Position actual value, increments."""
+        return round(self.plant.position / self._resolution)
+
+    @property
+    def velocity(self) -> int:
+        """Velocity actual value, increments/s."""
+        return round(self.plant.velocity / self._resolution)
+
+    @property
+    def torque(self) -> int:
+        """Torque actual value, per mille of rated."""
+        return round(self.plant.torque / self._unit) if self._energised else 0
+
+    def read(self, key: str) -> int:
+        """Raw value of an object; raises Denied."""
+        live = _LIVE.get(key)
+        if live is not None:
+            return live(self)
+        try:
+            return self.values[key]
+        except KeyError:
+            raise Denied(Reason.NO_OBJECT) from None
+
+    def write(self, key: str, value: int) -> None:
+        """Write a raw value; raises Denied."""
+        if key in _LIVE:
+            raise Denied(Reason.READ_ONLY)
+        item = self._objects.get(key)
+        if item is None:
+            raise Denied(Reason.NO_OBJECT)
+        if not item.writable:
+            raise Denied(Reason.READ_ONLY)
+        if not item.low <= value <= item.high:
+            raise Denied(Reason.RANGE)
+        if key == "mode":
+            self._set_mode(value)
+            return
+        self.values[key] = value
+        if key == "controlword":
+            self._control(value)
+        elif key == "torque_target":
+            self._take_torque(value)
+        elif key == "position_target":
+            self._take_position(value)
+
+    def command_torque(self, per_mille: int) -> None:
+        """Cyclic torque command: the short way of writing `torque_target`."""
+        self.values["torque_target"] = per_mille
+        self._take_torque(per_mille)
+
+    def store(self) -> None:
+        """Save the non-volatile objects; busy for a while; raises Denied while enabled."""
+        if self._energised:
+            raise Denied(Reason.STATE)
+        self.memory.save(
+            {key: self.values[key] for key, item in self._objects.items() if item.nonvolatile}
+        )
+        self.store_busy_until = self.now + _STORE_TIME
+
+    def feed_watchdog(self) -> None:
+        """The master was heard."""
+        self._watched = True
+        self._fed = self.now
+
+    def unwatch(self) -> None:
+        """The master said good-bye: the watchdog waits for the next one."""
+        self._watched = False
+
+    def trip(self, code: int) -> None:
+        """A fault came up: brake with the quick stop ramp, then de-energise."""
+        if self.state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            return
+        self._report(code)
+        if self._energised:
+            self.state = State.FAULT_REACTION_ACTIVE
+            self._begin_stop(State.FAULT)
+        else:
+            self.state = State.FAULT
+
+    def communication_lost(self, code: int) -> None:
+        """React to a silent master as the abort connection option code says (CiA 402, 6007h)."""
+        self._watched = False
+        option = self.values["abort_connection_option"]
+        if option == 0 or not self._energised:
+            return
+        if option == 1:
+            self.trip(code)
+        elif option == 2:
+            self._report(code)
+            self._power_off(State.SWITCH_ON_DISABLED)
+        else:
+            self._report(code)
+            self._quick_stop()
+
+    # -- power state machine -----------------------------------------------------------------------
+
+    def _control(self, word: int) -> None:
+        state = self.state
+        if state is State.FAULT_REACTION_ACTIVE:
+            return
+        if state is State.FAULT:
+            if word & 0x80:
+                self._report(0)
+                self.state = State.SWITCH_ON_DISABLED
+            return
+        if not word & 0x02:  # disable voltage
+            self._power_off(State.SWITCH_ON_DISABLED)
+        elif not word & 0x04:  # quick stop
+            if state is State.OPERATION_ENABLED or self._energised:
+                self._quick_stop()
+            elif state is not State.QUICK_STOP_ACTIVE:
+                self.state = State.SWITCH_ON_DISABLED
+        elif state is State.QUICK_STOP_ACTIVE:
+            return
+        elif word & 0x0F in (0x06, 0x0E):  # shutdown
+            if state is State.OPERATION_ENABLED:
+                self._begin_stop(State.READY_TO_SWITCH_ON)
+            else:
+                self.state = State.READY_TO_SWITCH_ON
+                self._energised = False
+        elif word & 0x0F == 0x07:  # switch on, or disable operation
+            if state is State.OPERATION_ENABLED:
+                self._begin_stop(State.SWITCHED_ON)
+            elif state is State.READY_TO_SWITCH_ON:
+                self.state = State.SWITCHED_ON
+        elif word & 0x0F == 0x0F and state is State.SWITCHED_ON and not self._energised:
+            self._enable()
+
+    def _enable(self) -> None:
+        if self.values["mode"] not in _MODES:
+            return
+        self._energised = True
+        self._queue.clear()
+        self._hold_here()
+        self._torque_command = self._ramped = self._clamped(self.values["torque_target"])
+        if self.axis.brake:
+            self._start_timer(_BRAKE_RELEASE, self._operate)
+        else:
+            self._operate()
+
+    def _operate(self) -> None:
+        self.plant.locked = False
+        self.state = State.OPERATION_ENABLED
+
+    def _quick_stop(self) -> None:
+        option = self.values["quick_stop_option"]
+        if option == 0:
+            self._power_off(State.SWITCH_ON_DISABLED)
+            return
+        self.state = State.QUICK_STOP_ACTIVE
+        self._begin_stop(State.SWITCH_ON_DISABLED if option < 5 else State.QUICK_STOP_ACTIVE)
+
+    def _begin_stop(self, after: State) -> None:
+        """Decelerate by the velocity loop with all the torque there is; then go to `after`."""
+        if self.state is State.OPERATION_ENABLED:
+            self.state = State.QUICK_STOP_ACTIVE
+        self._after_stop = after
+        self._queue.clear()
+        self._timer = _NEVER
+        self._tick_at = self.now
+        self._loop.reset(0.0)
+
+    def _at_standstill(self) -> None:
+        if self._after_stop is State.QUICK_STOP_ACTIVE:
+            return
+        if self.axis.brake:
+            if self._timer == _NEVER:
+                self.plant.locked = True
+                self._start_timer(_BRAKE_APPLY, lambda: self._power_off(self._after_stop))
+        else:
+            self._power_off(self._after_stop)
+
+    def _power_off(self, state: State) -> None:
+        was_loose = self._energised and not self.plant.locked
+        self.state = state
+        self._energised = False
+        self._queue.clear()
+        self._torque_command = self._ramped = 0.0
+        self._limiting = False
+        self._timer = _NEVER
+        if self.axis.brake and was_loose:
+            self._start_timer(_BRAKE_APPLY, self._close_brake)
+
+    def _close_brake(self) -> None:
+        self.plant.locked = True
+
+    def _start_timer(self, duration: int, action: Callable[[], None]) -> None:
+        self._timer = self.now + duration
+        self._on_timer = action
+
+    def _report(self, code: int) -> None:
+        self.error_code = code
+        self.on_emergency(code)
+
+    def _set_mode(self, mode: int) -> None:
+        if mode not in _MODES and mode != 0:
+            raise Denied(Reason.RANGE)
+        if self.state is State.OPERATION_ENABLED and mode != self.values["mode"]:
+            raise Denied(Reason.STATE)
+        self.values["mode"] = mode
+
+    # -- set-points --------------------------------------------------------------------------------
+
+    def _clamped(self, per_mille: int) -> float:
+        limit = self.values["max_torque"]
+        clamped = max(-limit, min(limit, per_mille))
+        self._limiting = clamped != per_mille
+        return clamped * self._unit
+
+    def _take_torque(self, per_mille: int) -> None:
+        if self.state is State.OPERATION_ENABLED:
+            torque = self._clamped(per_mille)
+            if self._delay:
+                self._queue.append((self.now + self._delay, torque))
+            else:
+                self._torque_command = torque
+
+    def _take_position(self, increments: int) -> None:
+        target = increments * self._resolution
+        interval = self.now - self._arrived_at
+        self._arrived_at = self.now
+        if 0 < interval <= SECOND // 5:
+            self._interpolation = interval
+        self._position_from = self._position_command
+        self._position_step = (target - self._position_command) / self._interpolation
+
+    def _hold_here(self) -> None:
+        self._position_command = self._position_from = self.plant.position
+        self._position_step = 0.0
+        self.values["position_target"] = self.position
+        self._arrived_at = self.now
+        self._tick_at = self.now
+        self._loop.reset(0.0)
+
+    # -- time --------------------------------------------------------------------------------------
+
+    def advance(self, duration: int) -> None:
+        """Let `duration` ns pass."""
+        end = self.now + duration
+        while True:
+            until = end
+            queue = self._queue
+            if queue and queue[0][0] < until:
+                until = queue[0][0]
+            if self._timer < until:
+                until = self._timer
+            watchdog = self.values["watchdog_time"] * 1_000_000 if self._watched else 0
+            if watchdog and self._energised and self._fed + watchdog < until:
+                until = max(self._fed + watchdog, self.now)
+            closed = self._energised and self._needs_loop()
+            if closed:
+                if self.now >= self._tick_at:
+                    self._tick()
+                until = min(until, self._tick_at)
+            if until > self.now:
+                self.plant.advance((until - self.now) / SECOND, self._torque_command)
+                self.now = until
+            if queue and queue[0][0] <= self.now:
+                self._torque_command = queue.popleft()[1]
+            if self._timer <= self.now:
+                self._timer = _NEVER
+                self._on_timer()
+            if watchdog and self._energised and self.now - self._fed >= watchdog:
+                self.communication_lost(self.silence_code)
+            if self.now >= end:
+                return
+
+    def _needs_loop(self) -> bool:
+        """Whether the drive's own loops are at work (else the torque is constant between events)."""
+        if self.state is not State.OPERATION_ENABLED:
+            return self.state is State.QUICK_STOP_ACTIVE or (
+                self.state is State.FAULT_REACTION_ACTIVE
+            )
+        values = self.values
+        if values["mode"] == MODE_CYCLIC_TORQUE:
+            return abs(self.plant.velocity) > 0.9 * self._speed_limit
+        return True
+
+    @property
+    def _speed_limit(self) -> float:
+        return self.values["max_speed"] * (2 * pi / 600)
+
+    def _tick(self) -> None:
+        """One period of the drive's control loops."""
+        self._tick_at = self.now + _TICK
+        if self.state is not State.OPERATION_ENABLED:
+            self._tick_stop()
+            return
+        mode = self.values["mode"]
+        if mode in _TORQUE_MODES:
+            self._tick_torque(mode)
+            return
+        plant, loop, limit = self.plant, self._loop, self._speed_limit
+        if mode == MODE_CYCLIC_POSITION:
+            velocity = self._interpolate()
+            error = self._position_command - plant.position
+            if abs(error) > self.values["following_window"] * self._resolution:
+                self.trip(ERROR_FOLLOWING)
+                return
+            wanted = velocity + loop.position_gain * error
+        else:
+            velocity = self.values["velocity_target"] * self._resolution
+            wanted = velocity
+        wanted = max(-limit, min(limit, wanted))
+        torque = loop.velocity_control(wanted, plant.velocity) + self._compensation(velocity)
+        self._set_limited(torque)
+
+    def _interpolate(self) -> float:
+        """Advance the position command towards its target; return its velocity."""
+        left = self._arrived_at + self._interpolation - self.now
+        if left <= 0:
+            self._position_command = self.values["position_target"] * self._resolution
+            return 0.0
+        elapsed = self.now - self._arrived_at
+        self._position_command = self._position_from + self._position_step * elapsed
+        return self._position_step * SECOND
+
+    def _tick_torque(self, mode: int) -> None:
+        if mode == MODE_PROFILE_TORQUE:
+            most = self.values["torque_slope"] * self._unit * (_TICK / SECOND)
+            target = self._clamped(self.values["torque_target"])
+            self._ramped += max(-most, min(most, target - self._ramped))
+            self._queue.clear()
+            self._torque_command = self._ramped
+        limit, velocity = self._speed_limit, self.plant.velocity
+        excess = abs(velocity) - limit
+        if excess > 0:
+            self._limiting = True
+            braking = -self._loop.velocity_gain * excess * (1 if velocity > 0 else -1)
+            if self._torque_command * velocity > 0:
+                self._set_limited(braking)
+
+    def _tick_stop(self) -> None:
+        if abs(self.plant.velocity) <= _REST_SPEED_SHARE * self.axis.speed:
+            self._at_standstill()
+            if not self._energised:
+                return
+        self._set_limited(self._loop.velocity_control(0.0, self.plant.velocity))
+
+    def _compensation(self, velocity_command: float) -> float:
+        """Friction compensation by the direction of the velocity command, N.m or N."""
+        values = self.values
+        torque = values["torque_offset"] * self._unit
+        if velocity_command > 0:
+            torque += values["coulomb_positive"] * self._unit
+        elif velocity_command < 0:
+            torque -= values["coulomb_negative"] * self._unit
+        return torque + values["viscous_gain"] * 1e-5 * self.axis.rated * velocity_command
+
+    def _set_limited(self, torque: float) -> None:
+        limit = self.values["max_torque"] * self._unit
+        clamped = max(-limit, min(limit, torque))
+        self._limiting = clamped != torque
+        self._loop.clamped = clamped != torque
+        self._torque_command = clamped
+
+
+class _Loops:
+    """Cascade of the drive: position P, velocity PI; tuned from the axis' inertia."""
+
+    def __init__(self, axis: VirtualAxis) -> None:
+        bandwidth = min(250.0, 0.25 / axis.lag) if axis.lag else 250.0  # rad/s
+        self.velocity_gain = axis.inertia * bandwidth
+        self.integral_gain = self.velocity_gain * bandwidth / 4
+        self.position_gain = bandwidth / 5
+        self.integral = 0.0
+        self.clamped = False
+
+    def reset(self, torque: float) -> None:
+        """Start from this torque of the integrator, N.m or N."""
+        self.integral = torque
+        self.clamped = False
+
+    def velocity_control(self, wanted: float, actual: float) -> float:
+        """PI control of velocity with the integrator held at the torque limit; returns torque."""
+        error = wanted - actual
+        if not self.clamped or self.integral * error < 0:
+            self.integral += self.integral_gain * error * (_TICK / SECOND)
+        return self.velocity_gain * error + self.integral
+
+
+_LIVE: dict[str, Callable[[Firmware], int]] = {
+    "statusword": lambda drive: drive.statusword,
+    "error_code": lambda drive: drive.error_code,
+    "position_actual": lambda drive: drive.position,
+    "velocity_actual": lambda drive: drive.velocity,
+    "torque_actual": lambda drive: drive.torque,
+    "mode_display": lambda drive: drive.values["mode"],
+    "store_status": lambda drive: 1 if drive.now < drive.store_busy_until else 0,
+}

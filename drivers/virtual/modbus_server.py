@@ -1,0 +1,67 @@
+"""The virtual drive on Modbus TCP: pymodbus' server around the register map."""
+
+from __future__ import annotations
+
+import logging
+
+from pymodbus.constants import ExcCodes
+from pymodbus.pdu.device import ModbusDeviceIdentification
+from pymodbus.server import ModbusTcpServer
+from pymodbus.simulator import DataType, SimData, SimDevice
+
+from drivers.virtual.firmware import Denied, Reason
+from drivers.virtual.modbus_identity import PRODUCT, REVISION, VENDOR
+from drivers.virtual.registers import FIRST, LAST, RegisterMap
+
+__all__ = ["start_modbus_tcp"]
+
+logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
+
+_CODES = {
+    Reason.NO_OBJECT: ExcCodes.ILLEGAL_ADDRESS,
+    Reason.READ_ONLY: ExcCodes.ILLEGAL_ADDRESS,
+    Reason.RANGE: ExcCodes.ILLEGAL_VALUE,
+    Reason.STATE: ExcCodes.DEVICE_BUSY,
+}
+_WRITE_SINGLE = 6
+
+
+async def start_modbus_tcp(
+    registers: RegisterMap, host: str, port: int, unit: int
+) -> tuple[ModbusTcpServer, int]:
+    """Listen on host:port (0: any free one); return the server and the port it has."""
+
+    async def access(
+        function: int,
+        start: int,
+        address: int,
+        count: int,
+        memory: list[int],
+        values: list[int] | list[bool] | None,
+    ) -> ExcCodes | None:
+        try:
+            if values is not None:
+                registers.write(address, [int(word) for word in values])
+            elif function != _WRITE_SINGLE:  # whose answer echoes what was written
+                memory[address - start : address - start + count] = registers.read(address, count)
+        except Denied as error:
+            return _CODES[error.reason]
+        return None
+
+    identity = ModbusDeviceIdentification(
+        info_name={
+            "VendorName": VENDOR,
+            "ProductCode": PRODUCT,
+            "MajorMinorRevision": REVISION,
+        }
+    )
+    memory = SimData(FIRST, values=[0] * (LAST + 1 - FIRST), datatype=DataType.REGISTERS)
+    server = ModbusTcpServer(
+        SimDevice(unit, simdata=[memory], action=access),
+        identity=identity,
+        address=(host, port),
+    )
+    await server.serve_forever(background=True)
+    listener = server.transport
+    sockets = getattr(listener, "sockets", None)
+    return server, int(sockets[0].getsockname()[1]) if sockets else port

@@ -1,0 +1,113 @@
+"""Serve a virtual drive to other processes."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass
+from urllib.parse import quote
+
+from drivers.virtual.axes import VirtualAxis
+from drivers.virtual.device import Clock, Device
+from drivers.virtual.firmware import Firmware
+from drivers.virtual.memory import Memory
+from profiles.errors import UsageError
+
+__all__ = ["Endpoints", "serve"]
+
+_POLL = 0.002  # s: how often timers of the drive run while nobody talks to it
+NODE = 5
+UNIT = 1
+BITRATE = 500_000
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoints:
+    """Where to serve: (host, port) or None; port 0 is any free one."""
+
+    modbus_tcp: tuple[str, int] | None = None
+    socketcand: tuple[str, int] | None = None
+    slcan_pty: bool = False
+
+
+def serve(
+    axis: VirtualAxis,
+    memory: Memory,
+    endpoints: Endpoints,
+    clock: Clock,
+    announce: Callable[[str], None],
+) -> None:
+    """Serve until SIGINT or SIGTERM; `announce` gets one ready LINK at a time."""
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(_serve(axis, memory, endpoints, clock, announce))
+
+
+async def _serve(
+    axis: VirtualAxis,
+    memory: Memory,
+    endpoints: Endpoints,
+    clock: Clock,
+    announce: Callable[[str], None],
+) -> None:
+    device = Device(Firmware(axis, memory), clock)
+    suffix = "&clock=step" if clock == "step" else ""
+    end = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with contextlib.suppress(NotImplementedError):  # Windows: KeyboardInterrupt does it
+            loop.add_signal_handler(number, end.set)
+    async with contextlib.AsyncExitStack() as stack:
+        poll: Callable[[], None] = device.catch_up
+        try:
+            if endpoints.modbus_tcp is not None:
+                announce(await _modbus(stack, device, endpoints.modbus_tcp) + suffix)
+            if endpoints.socketcand is not None or endpoints.slcan_pty:
+                poll, links = await _canopen(stack, device, endpoints)
+                for link in links:
+                    announce(link + suffix)
+        except (OSError, RuntimeError) as error:
+            raise UsageError(f"cannot serve: {error}; is the port taken?") from None
+        while not end.is_set():
+            poll()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(end.wait(), _POLL if clock == "wall" else 0.1)
+
+
+async def _modbus(
+    stack: contextlib.AsyncExitStack, device: Device, place: tuple[str, int]
+) -> str:
+    from drivers.virtual.modbus_server import start_modbus_tcp
+    from drivers.virtual.registers import RegisterMap
+
+    server, port = await start_modbus_tcp(RegisterMap(device), *place, UNIT)
+    stack.push_async_callback(server.shutdown)
+    return f"modbus-tcp://{_host(place[0])}:{port}?unit={UNIT}"
+
+
+async def _canopen(
+    stack: contextlib.AsyncExitStack, device: Device, endpoints: Endpoints
+) -> tuple[Callable[[], None], list[str]]:
+    from drivers.virtual.can_wires import CanBus, SlcanPty, SocketcandServer
+    from drivers.virtual.canopen_node import CanopenNode
+
+    bus = CanBus(CanopenNode(device, NODE))
+    links: list[str] = []
+    if endpoints.socketcand is not None:
+        server = SocketcandServer(bus)
+        port = await server.start(*endpoints.socketcand)
+        stack.push_async_callback(server.close)
+        links.append(f"canopen://socketcand/{_host(endpoints.socketcand[0])}:{port}/can0?node={NODE}")
+    if endpoints.slcan_pty:
+        try:
+            line = SlcanPty(bus)
+        except ImportError:
+            raise UsageError("this system has no pseudo-terminals: use --socketcand") from None
+        stack.callback(line.close)
+        links.append(f"canopen://slcan/{quote(line.path, safe='')}?node={NODE}&bitrate={BITRATE}")
+    return bus.poll, links
+
+
+def _host(host: str) -> str:
+    return f"[{host}]" if ":" in host else host

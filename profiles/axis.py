@@ -1,0 +1,93 @@
+"""What an axis is: how it is reached, what it may do, and how the motor moves it.
+
+Rotary and linear axes differ here, in gear and feed, and nowhere else: everything above a driver
+is in rad, N.m or in m, N at the axis.
+"""
+
+from __future__ import annotations
+
+from math import pi
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from profiles.schema import _Strict
+from profiles.toml_files import load_model
+
+__all__ = ["Axis", "AxisLimits", "Mechanics", "load_axis"]
+
+Positive = Annotated[float, Field(gt=0)]
+
+
+class Mechanics(_Strict):
+    """How the motor moves the axis.
+
+    Parameters
+    ----------
+    motion : rotary (rad, N.m) or linear (m, N)
+    gear : motor revolutions per revolution of the gear's output
+    feed : m per revolution of the gear's output, for a linear axis
+    held_by : what keeps the axis at rest without energy
+    """
+
+    motion: Literal["rotary", "linear"] = "rotary"
+    gear: Positive = 1.0
+    feed: Positive | None = None
+    held_by: Literal["friction", "brake", "counterbalance", "fixture"] = "friction"
+
+    @property
+    def travel_per_revolution(self) -> float:
+        """Travel of the axis per motor revolution, rad or m."""
+        if self.motion == "rotary":
+            return 2 * pi / self.gear
+        return (self.feed or 2 * pi) / self.gear
+
+    @property
+    def effort_per_torque(self) -> float:
+        """Torque (1) or force (1/m) at the axis per motor torque, without losses."""
+        return 2 * pi / self.travel_per_revolution
+
+
+class AxisLimits(_Strict):
+    """What the axis may never exceed in an experiment."""
+
+    torque: Positive | None = None  # N.m or N at the axis
+    speed: Positive | None = None  # rad/s or m/s
+    duration: Positive = 300.0  # s
+
+
+class Axis(_Strict):
+    """One axis of a machine.
+
+    `travel` is the room on either side of the position where the job starts, rad or m.
+    `rated_torque` (N.m of the motor) is for drives that do not tell theirs.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")] = "axis"
+    link: str | None = None
+    profile: str | None = None
+    travel: Positive | None = None
+    cycle: Positive | None = None
+    rated_torque: Positive | None = None
+    mechanics: Mechanics = Mechanics()
+    limits: AxisLimits = AxisLimits()
+    group: str | None = None
+
+    @property
+    def position_unit(self) -> str:
+        """ASCII unit of position."""
+        return "rad" if self.mechanics.motion == "rotary" else "m"
+
+    @property
+    def effort_unit(self) -> str:
+        """ASCII unit of torque or force."""
+        return "N.m" if self.mechanics.motion == "rotary" else "N"
+
+
+def load_axis(path: Path) -> Axis:
+    """Read an axis file; its name is the file's unless it says another."""
+    axis = load_model(path, Axis)
+    if "name" not in axis.model_fields_set:
+        axis = axis.model_copy(update={"name": path.stem})
+    return axis

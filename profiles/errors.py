@@ -1,0 +1,147 @@
+"""The one exception tree of tworelay, and the exit code that each branch ends with.
+
+    TwoRelayError                      1   a bug, if it is ever raised as itself
+    ├── UsageError                     2   "--travel abc", a file that is no TOML
+    │   ├── ProfileError               2   unknown key in a profile, range upside down
+    │   └── UnknownName                2   a profile, axis, run or parameter that does not exist
+    ├── Refused                        3   confirmation declined, travel too small
+    │   ├── IdentityMismatch           3   the profile is for another drive, or it is another drive than in the run
+    │   └── PreflightRefused           3   fault present, limit not accepted, watchdog not proved
+    ├── LinkError                      4   unreachable, silent, speaks something else
+    │   └── LinkLost                   4   was there, and is gone
+    ├── DriveFault                     5   the drive reported a fault in motion
+    │   └── EnvelopeTripped            5   a limit of ours was about to be passed
+    ├── MeasurementRejected            6   friction above the torque limit, no limit cycle
+    ├── WriteFailed                    7   write, read-back, store or restore incomplete
+    │   ├── AccessDenied               7   SDO abort, Modbus exception
+    │   └── JournalError               7   the journal cannot be written
+    └── Interrupted              130, 143  SIGINT, SIGTERM
+
+Every message is one plain line: what happened, to what, with numbers and units, and what to do.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "AccessDenied",
+    "DriveFault",
+    "EnvelopeTripped",
+    "IdentityMismatch",
+    "Interrupted",
+    "JournalError",
+    "LinkError",
+    "LinkLost",
+    "MeasurementRejected",
+    "PreflightRefused",
+    "ProfileError",
+    "Refused",
+    "TwoRelayError",
+    "UnknownName",
+    "UsageError",
+    "WriteFailed",
+]
+
+
+class TwoRelayError(Exception):
+    """Something that the user is told in one line.
+
+    Attributes
+    ----------
+    exit_code : int
+        Exit code of the command line.
+    status : str
+        `status` of the result JSON.
+    """
+
+    exit_code = 1
+    status = "failed"
+
+    def __init__(self, message: str) -> None:
+        super().__init__(" ".join(message.split()))
+
+
+class UsageError(TwoRelayError):
+    """The command or a file is not what it must be."""
+
+    exit_code = 2
+
+
+class ProfileError(UsageError):
+    """A profile or axis file is not valid: file, section, key, and what is allowed."""
+
+
+class UnknownName(UsageError):
+    """A name that does not exist, with those that do."""
+
+    def __init__(self, kind: str, name: str, known: list[str]) -> None:
+        self.kind, self.name, self.known = kind, name, known
+        there = ", ".join(sorted(known)) if known else "none"
+        super().__init__(f"no {kind} named '{name}'; there are: {there}")
+
+
+class Refused(TwoRelayError):
+    """The product declines to act; nothing was moved or written."""
+
+    exit_code = 3
+    status = "refused"
+
+
+class IdentityMismatch(Refused):
+    """The drive on the link is not the one that is meant."""
+
+
+class PreflightRefused(Refused):
+    """A condition for motion is not met."""
+
+
+class LinkError(TwoRelayError):
+    """The drive cannot be talked to."""
+
+    exit_code = 4
+
+
+class LinkLost(LinkError):
+    """A link that worked no longer does."""
+
+
+class DriveFault(TwoRelayError):
+    """The drive stopped by itself."""
+
+    exit_code = 5
+    status = "stopped"
+
+
+class EnvelopeTripped(DriveFault):
+    """A limit of the experiment was reached, so the axis was stopped."""
+
+
+class MeasurementRejected(TwoRelayError):
+    """The measurement gives no number that can be trusted."""
+
+    exit_code = 6
+    status = "rejected"
+
+
+class WriteFailed(TwoRelayError):
+    """A parameter is not what it should be after a write, a store or a restore."""
+
+    exit_code = 7
+
+
+class AccessDenied(WriteFailed):
+    """The drive answers, and refuses an access."""
+
+
+class JournalError(WriteFailed):
+    """The journal cannot be read or written, so nothing may be done."""
+
+
+class Interrupted(TwoRelayError):
+    """The user or the system asked to end."""
+
+    exit_code = 130
+    status = "stopped"
+
+    def __init__(self, message: str, signal_number: int) -> None:
+        super().__init__(message)
+        self.exit_code = 128 + signal_number

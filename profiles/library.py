@@ -1,0 +1,132 @@
+"""Which profiles there are, and which one fits a drive."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+from profiles.errors import IdentityMismatch, UnknownName
+from profiles.schema import Identity, Profile
+from profiles.toml_files import load_model, parse_model
+
+__all__ = ["builtin_names", "digest", "fitting", "load_profile", "source_text"]
+
+
+def builtin_names() -> list[str]:
+    """Names of the profiles that come with tworelay."""
+    folder = files("profiles") / "builtin"
+    return sorted(item.name[:-5] for item in folder.iterdir() if item.name.endswith(".toml"))
+
+
+def load_profile(name_or_path: str) -> Profile:
+    """A built-in profile by its name, or any profile by the path of its file."""
+    if _is_path(name_or_path):
+        return load_model(Path(name_or_path), Profile)
+    return _builtin(name_or_path)
+
+
+def source_text(name_or_path: str) -> str:
+    """The profile as it is written."""
+    if _is_path(name_or_path):
+        load_profile(name_or_path)
+        return Path(name_or_path).read_text("utf-8")
+    _builtin(name_or_path)
+    return _builtin_text(name_or_path)
+
+
+def digest(profile: Profile) -> str:
+    """SHA-256 of what the profile says, independent of how its file is laid out."""
+    return hashlib.sha256(profile.model_dump_json(by_alias=True).encode()).hexdigest()
+
+
+def fitting(identity: Identity, bus: str) -> Profile:
+    """The one built-in profile whose identity matches; raises IdentityMismatch for none or several.
+
+    Profiles that ask for no identity fit nothing by themselves: they are named explicitly.
+    """
+    fits = [
+        profile
+        for profile in map(_builtin, builtin_names())
+        if profile.bus == bus and not profile.identity.empty and profile.identity.accepts(identity)
+    ]
+    if len(fits) == 1:
+        return fits[0]
+    if not fits:
+        raise IdentityMismatch(
+            f"no built-in profile fits {identity} on {bus}; name one with --profile "
+            f"(generic: 'cia402' on CANopen) or bring your own file"
+        )
+    names = ", ".join(profile.name for profile in fits)
+    raise IdentityMismatch(f"several profiles fit {identity}: {names}; name one with --profile")
+
+
+def _is_path(name: str) -> bool:
+    return name.endswith(".toml") or "/" in name or "\\" in name
+
+
+@cache
+def _builtin(name: str) -> Profile:
+    if name not in builtin_names():
+        raise UnknownName("profile", name, builtin_names())
+    return parse_model(_builtin_text(name), Profile, f"profile '{name}'")
+
+
+def _builtin_text(name: str) -> str:
+    return (files("profiles") / "builtin" / f"{name}.toml").read_text("utf-8")
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One remark of `check`: how bad it is, and what it is about."""
+
+    severity: str  # "error" or "warning"
+    text: str
+
+
+def check(profile: Profile) -> list[Finding]:
+    """What in a valid profile will nevertheless go wrong at the machine."""
+    found: list[Finding] = []
+    seen: dict[tuple[int, int], str] = {}
+    for name, parameter in profile.parameters.items():
+        address = parameter.address
+        if hasattr(address, "register_"):
+            cells = [(address.register_ + k, 0) for k in range(address.count)]
+        else:
+            cells = [(address.index, address.sub)]
+        for cell in cells:
+            if cell in seen and seen[cell] != name:
+                found.append(
+                    Finding("error", f"[parameters.{name}] overlaps '{seen[cell]}' at {address}")
+                )
+            seen[cell] = name
+    for name in profile.compensation.terms.values():
+        if profile.parameters[name].trust == "unverified":
+            found.append(
+                Finding("warning", f"[parameters.{name}] is written by apply but unverified")
+            )
+    if profile.compensation.law != "none":
+        if not profile.compensation.acts_in:
+            found.append(Finding("error", "[compensation] acts in no mode"))
+        elif set(profile.compensation.acts_in) == {"torque"}:
+            found.append(
+                Finding("error", "[compensation] acts in torque mode only, where nothing is positioned")
+            )
+        if profile.store is None:
+            found.append(
+                Finding("warning", "[store] is missing: what is written is lost at power-off")
+            )
+    if not profile.stop:
+        found.append(Finding("error", "[stop] is empty: there is no way to stop the drive"))
+    if profile.watchdog.kind == "none":
+        found.append(
+            Finding("warning", "[watchdog] kind is 'none': the drive does not notice a dead link")
+        )
+    found += [
+        Finding("warning", f"[limits] has no {name} limit in the drive")
+        for name in ("torque", "speed")
+        if name not in profile.limits
+    ]
+    return found

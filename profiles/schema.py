@@ -1,0 +1,438 @@
+"""What a drive is: the schema of a drive profile.
+
+A profile is data: a TOML file that names parameters, where they are, in which unit, and the
+procedures of the drive. It can name only parameters, never code. An unknown key is an error.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+__all__ = [
+    "Address",
+    "CanopenAddress",
+    "Compensation",
+    "CompensationLaw",
+    "Cycle",
+    "Identity",
+    "IdentityMatch",
+    "LinkDefaults",
+    "Mode",
+    "ModbusAddress",
+    "Parameter",
+    "Profile",
+    "Step",
+    "Store",
+    "Unit",
+    "Watchdog",
+]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+_IntegerType = Literal["i8", "u8", "i16", "u16", "i32", "u32", "i64", "u64"]
+_ScalarType = Literal["i8", "u8", "i16", "u16", "i32", "u32", "i64", "u64", "f32"]
+
+WIDTH_BITS: dict[str, int] = {
+    "i8": 8, "u8": 8, "i16": 16, "u16": 16, "i32": 32, "u32": 32, "i64": 64, "u64": 64, "f32": 32,
+}  # fmt: skip
+
+
+class CanopenAddress(_Strict):
+    """An entry of the CANopen object dictionary (CiA 301)."""
+
+    index: Annotated[int, Field(ge=0x1000, le=0xFFFF)]
+    sub: Annotated[int, Field(ge=0, le=0xFF)] = 0
+    type: _ScalarType
+
+    def __str__(self) -> str:
+        return f"{self.index:04X}h:{self.sub:02X}"
+
+
+class ModbusAddress(_Strict):
+    """Holding registers, counted from 0 as on the wire.
+
+    `word_order` says which word of a wider value lies at the lower address.
+    """
+
+    register_: Annotated[int, Field(ge=0, le=0xFFFF, alias="register")]
+    type: _ScalarType
+    word_order: Literal["high-first", "low-first"] = "high-first"
+    read_function: Literal[3, 4] = 3
+    write_function: Literal[6, 16] = 16
+
+    @property
+    def count(self) -> int:
+        """Number of 16-bit registers that the value takes."""
+        return max(1, WIDTH_BITS[self.type] // 16)
+
+    def __str__(self) -> str:
+        return f"register {self.register_:04X}h"
+
+
+Address = CanopenAddress | ModbusAddress
+
+
+class Unit(StrEnum):
+    """What a raw value times its scale is measured in, before the drive's own bases are applied."""
+
+    NONE = "1"
+    RATED_TORQUE = "rated"  # share of the rated torque
+    RATED_TORQUE_PER_SPEED = "rated/(rad/s)"
+    TORQUE = "N.m"
+    REVOLUTION = "rev"
+    INCREMENT = "increment"  # of the position encoder
+    INCREMENT_PER_SECOND = "increment/s"
+    SPEED = "rad/s"
+    RPM = "rpm"
+    RATED_TORQUE_PER_SECOND = "rated/s"
+    SECOND = "s"
+
+
+class Access(StrEnum):
+    """What the drive lets a master do with a parameter."""
+
+    READ_ONLY = "ro"
+    READ_WRITE = "rw"
+    WRITE_ONLY = "wo"
+
+
+class Protection(StrEnum):
+    """What tworelay may do with a parameter."""
+
+    READ = "read"  # never written
+    COMMAND = "command"  # control and set-point: written by the drive's verbs only
+    EXPERIMENT = "experiment"  # set for an experiment, put back after it
+    COMPENSATION = "compensation"  # what `apply` writes
+    MAINTENANCE = "maintenance"  # store, simulation clock: by its own procedure only
+
+
+class Trust(StrEnum):
+    """How far the statement about a parameter can be trusted."""
+
+    VERIFIED = "verified"
+    DERIVED = "derived"
+    UNVERIFIED = "unverified"
+
+
+class Parameter(_Strict):
+    """One parameter of the drive.
+
+    The value in SI is `raw * scale`, times what `unit` stands for in this drive.
+    `minimum` and `maximum` are raw, `forbidden` lists raw values that must never be written.
+    """
+
+    address: Annotated[
+        CanopenAddress | ModbusAddress, Field(union_mode="left_to_right")
+    ]
+    title: str
+    unit: Unit = Unit.NONE
+    scale: float = 1.0
+    minimum: int | None = None
+    maximum: int | None = None
+    forbidden: tuple[int, ...] = ()
+    largest_step: int | None = None
+    access: Access = Access.READ_WRITE
+    protection: Protection = Protection.READ
+    trust: Trust = Trust.UNVERIFIED
+    nonvolatile: bool = False
+    source: str = ""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.scale == 0:
+            raise ValueError("scale is 0: must be the value of one raw step")
+        low, high = type_range(self.address.type)
+        lo = low if self.minimum is None else self.minimum
+        hi = high if self.maximum is None else self.maximum
+        if lo > hi:
+            raise ValueError(f"range is upside down: minimum {lo}, maximum {hi}")
+        if lo < low or hi > high:
+            raise ValueError(f"range {lo}…{hi} does not fit type {self.address.type} ({low:g}…{high:g})")
+        if self.access is Access.READ_ONLY and self.protection is not Protection.READ:
+            raise ValueError(f"access 'ro' and protection '{self.protection}' contradict each other")
+        return self
+
+    @property
+    def raw_range(self) -> tuple[float, float]:
+        """Smallest and largest raw value that may be written."""
+        low, high = type_range(self.address.type)
+        return (
+            low if self.minimum is None else self.minimum,
+            high if self.maximum is None else self.maximum,
+        )
+
+
+def type_range(name: str) -> tuple[float, float]:
+    """Smallest and largest number of a scalar type by its name."""
+    if name == "f32":
+        return (-3.4e38, 3.4e38)
+    bits = WIDTH_BITS[name]
+    return (0, 2**bits - 1) if name[0] == "u" else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+
+
+class IdentityMatch(_Strict):
+    """What the drive must say about itself (object 1018h, or Modbus FC 43/14).
+
+    A profile without any of these matches every drive of its bus and is used only when asked for
+    by name.
+    """
+
+    vendor: str | None = None
+    product: str | None = None
+    revisions: tuple[str, ...] = ()
+
+    def accepts(self, identity: Identity) -> bool:
+        """Whether `identity` is one of the drives that this profile is for."""
+        return (
+            (self.vendor is None or self.vendor == identity.vendor)
+            and (self.product is None or self.product == identity.product)
+            and (not self.revisions or identity.revision in self.revisions)
+        )
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing is asked for."""
+        return self.vendor is None and self.product is None and not self.revisions
+
+
+class Identity(_Strict):
+    """What a drive said about itself. Numbers are written as in CiA 301: `0x0000009A`."""
+
+    vendor: str
+    product: str
+    revision: str
+    serial: str
+
+    def __str__(self) -> str:
+        return f"{self.vendor} {self.product} rev {self.revision} serial {self.serial}"
+
+
+class LinkDefaults(_Strict):
+    """How the drive is reached when the LINK does not say it."""
+
+    node: Annotated[int, Field(ge=1, le=127)] | None = None
+    unit: Annotated[int, Field(ge=0, le=255)] | None = None
+    bitrate: int | None = None
+    baudrate: int | None = None
+    sharing: Literal["shared", "exclusive"] = "shared"
+    cycle: Annotated[float, Field(gt=0)] = 0.005  # s
+    service_timeout: Annotated[float, Field(gt=0)] = 0.5  # s, one request outside motion
+
+
+class Mode(StrEnum):
+    """Operating mode by the names of IEC 61800-7-201 (CiA 402)."""
+
+    TORQUE = "torque"
+    POSITION = "position"
+
+
+class Step(_Strict):
+    """One step of a procedure: write a raw value, or wait until bits of a parameter read so."""
+
+    write: str | None = None
+    raw: int | None = None
+    until: str | None = None
+    mask: int = -1
+    equals: int | None = None
+    within: Annotated[float, Field(gt=0)] = 1.0  # s
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        writes = self.write is not None and self.raw is not None
+        waits = self.until is not None and self.equals is not None
+        if writes == waits:
+            raise ValueError("a step is either { write, raw } or { until, mask, equals, within }")
+        return self
+
+
+class ModeCode(_Strict):
+    """How a mode is asked for: value for `mode_of_operation`, bit that says it is supported.
+
+    `before` is written before the mode is enabled and put back after the experiment.
+    """
+
+    code: int
+    supported_bit: Annotated[int, Field(ge=0, le=31)] | None = None
+    set_point: str
+    before: tuple[Step, ...] = ()
+
+
+class Cycle(_Strict):
+    """What is exchanged every cycle.
+
+    Modbus: one block of registers is written and one read (FC 23, or FC 16 then FC 3).
+    CANopen: one RPDO out, SYNC, one TPDO in; each list is the PDO's mapping in order.
+    """
+
+    out: tuple[str, ...]
+    in_: Annotated[tuple[str, ...], Field(alias="in")]
+    function: Literal["fc23", "fc16+3", "pdo"]
+    rpdo: Annotated[int, Field(ge=1, le=4)] = 1
+    tpdo: Annotated[int, Field(ge=1, le=4)] = 1
+
+
+class Watchdog(_Strict):
+    """The drive-side watchdog of communication and how it is armed.
+
+    `parameter` takes the time-out; `kind` says what feeds it.
+    """
+
+    kind: Literal["cycle", "heartbeat", "none"]
+    parameter: str | None = None
+    timeout: Annotated[float, Field(gt=0)] = 0.05  # s
+    node: Annotated[int, Field(ge=1, le=127)] = 127  # whose heartbeat it is: ours
+    reaction: str | None = None  # parameter that says what the drive does
+    reaction_raw: int | None = None
+
+
+class Store(_Strict):
+    """How parameters are made non-volatile."""
+
+    steps: tuple[Step, ...]
+    timeout: Annotated[float, Field(gt=0)] = 2.0  # s
+
+
+class CompensationLaw(StrEnum):
+    """Shape of the friction compensation that the drive has (reference: compensation laws).
+
+    NONE                  nothing to write: identify and report only
+    OFFSET_ASYMMETRIC     T = offset + F+ or F- by direction
+    SINGLE_GAIN           T = F * sign(v)
+    SATURATED_LINEAR      T = F * clip(v / v0, -1, 1)
+    COULOMB_VISCOUS       T = offset + F+ or F- by direction + B * v
+    """
+
+    NONE = "none"
+    OFFSET_ASYMMETRIC = "offset+asymmetric"
+    SINGLE_GAIN = "single-gain"
+    SATURATED_LINEAR = "saturated-linear"
+    COULOMB_VISCOUS = "coulomb+viscous"
+
+
+LAW_TERMS: dict[CompensationLaw, tuple[frozenset[str], frozenset[str]]] = {
+    # law: (terms it must have, terms it may have)
+    CompensationLaw.NONE: (frozenset(), frozenset()),
+    CompensationLaw.OFFSET_ASYMMETRIC: (frozenset({"positive", "negative"}), frozenset({"offset"})),
+    CompensationLaw.SINGLE_GAIN: (frozenset({"gain"}), frozenset({"offset"})),
+    CompensationLaw.SATURATED_LINEAR: (frozenset({"gain", "speed"}), frozenset({"offset"})),
+    CompensationLaw.COULOMB_VISCOUS: (
+        frozenset({"positive", "negative", "viscous"}),
+        frozenset({"offset"}),
+    ),
+}
+
+
+class Compensation(_Strict):
+    """Where the friction compensation of the drive is written.
+
+    The terms name parameters. `negative_sign` is the sign with which the drive stores the
+    compensation of the negative direction. `acts_in` lists the modes in which it has an effect.
+    """
+
+    law: CompensationLaw
+    offset: str | None = None
+    positive: str | None = None
+    negative: str | None = None
+    gain: str | None = None
+    speed: str | None = None
+    viscous: str | None = None
+    negative_sign: Literal[-1, 1] = 1
+    acts_in: tuple[Mode, ...] = (Mode.POSITION,)
+
+    @property
+    def terms(self) -> dict[str, str]:
+        """Parameter name of each term of the law that the drive has."""
+        names = ("offset", "positive", "negative", "gain", "speed", "viscous")
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        must, may = LAW_TERMS[self.law]
+        there = set(self.terms)
+        if missing := must - there:
+            raise ValueError(f"law '{self.law}' needs {', '.join(sorted(missing))}")
+        if extra := there - must - may:
+            raise ValueError(f"law '{self.law}' has no {', '.join(sorted(extra))}")
+        return self
+
+
+class Brake(_Strict):
+    """Holding brake: delays between command and effect, which the drive itself keeps."""
+
+    release_delay: Annotated[float, Field(ge=0)] = 0.0  # s
+    apply_delay: Annotated[float, Field(ge=0)] = 0.0  # s
+
+
+class Profile(_Strict):
+    """A drive family: identity, parameters, procedures, limits."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")]
+    version: str
+    title: str
+    bus: Literal["modbus", "canopen"]
+    status: Literal["virtual", "from documents", "tried on hardware"]
+    sources: tuple[str, ...] = ()
+    identity: IdentityMatch = IdentityMatch()
+    link: LinkDefaults = LinkDefaults()
+    state_machine: Literal["cia402"] = "cia402"
+    parameters: dict[str, Parameter]
+    cycle: Cycle
+    modes: dict[Mode, tuple[ModeCode, ...]]  # the first one that the drive supports is taken
+    stop: tuple[Step, ...]  # brings the axis to rest; written without waiting for an answer
+    disable: tuple[Step, ...]  # takes the energy away; likewise
+    stop_time: Annotated[float, Field(gt=0)] = 1.0  # s, from `stop` to rest, brake closed
+    limits: dict[Literal["torque", "speed"], str] = {}
+    watchdog: Watchdog
+    brake: Brake = Brake()
+    store: Store | None = None
+    compensation: Compensation
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        known = set(self.parameters)
+        wanted = {
+            "controlword", "statusword", "mode_of_operation", "mode_display", "rated_torque",
+            "torque_target", "position_actual", "encoder_increments", "encoder_revolutions",
+        }  # fmt: skip
+        if missing := wanted - known:
+            raise ValueError(f"[parameters] lacks {', '.join(sorted(missing))}")
+        for where, name in self._references():
+            if name not in known:
+                raise ValueError(f"[{where}] names '{name}', which [parameters] does not have")
+        kind = CanopenAddress if self.bus == "canopen" else ModbusAddress
+        for name, parameter in self.parameters.items():
+            if not isinstance(parameter.address, kind):
+                raise ValueError(f"[parameters.{name}] has an address of another bus than '{self.bus}'")
+        if (self.cycle.function == "pdo") != (self.bus == "canopen"):
+            raise ValueError(f"[cycle] function '{self.cycle.function}' does not fit bus '{self.bus}'")
+        if not self.modes.get(Mode.TORQUE):
+            raise ValueError("[modes] lacks torque: without a torque command no relay test can run")
+        for name in self.compensation.terms.values():
+            if self.parameters[name].protection is not Protection.COMPENSATION:
+                raise ValueError(f"[parameters.{name}] must have protection 'compensation'")
+        return self
+
+    def _references(self) -> list[tuple[str, str]]:
+        found = [("cycle", name) for name in (*self.cycle.out, *self.cycle.in_)]
+        for mode, codes in self.modes.items():
+            found += [(f"modes.{mode}", code.set_point) for code in codes]
+            found += [(f"modes.{mode}", s.write or s.until or "") for c in codes for s in c.before]
+        found += [("compensation", name) for name in self.compensation.terms.values()]
+        found += [("limits", name) for name in self.limits.values()]
+        for where, steps in (
+            ("stop", self.stop),
+            ("disable", self.disable),
+            ("store", self.store.steps if self.store else ()),
+        ):
+            found += [(where, step.write or step.until or "") for step in steps]
+        if self.watchdog.parameter:
+            found.append(("watchdog", self.watchdog.parameter))
+        if self.watchdog.reaction:
+            found.append(("watchdog", self.watchdog.reaction))
+        return found

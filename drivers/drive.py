@@ -53,6 +53,30 @@ class Drive(Protocol):
     def write(self, name: str, value: float) -> None:
         """Write and read back; raises WriteFailed when it is not what was written."""
 
+    def read_raw(self, name: str) -> int:
+        """Value of a parameter as the drive counts."""
+
+    def write_raw(self, name: str, raw: int) -> None:
+        """Write a raw value and read it back; raises WriteFailed."""
+
+    def watchdog_settings(self) -> dict[str, int]:
+        """Raw value of each parameter that arms the drive-side watchdog."""
+
+    def status_text(self) -> str:
+        """State of the drive in words, with what it reported."""
+
+    def is_energised(self) -> bool:
+        """Whether the drive controls the axis."""
+
+    def in_fault(self) -> bool:
+        """Whether the drive reports a fault."""
+
+    def reset_fault(self) -> None:
+        """Acknowledge a fault; never enables."""
+
+    def preparations(self, mode: Mode) -> dict[str, int]:
+        """Raw value of each parameter that `mode` needs set before it is enabled."""
+
     def store(self) -> None:
         """Make the parameters non-volatile; raises WriteFailed."""
 

@@ -16,7 +16,7 @@ from profiles.errors import IdentityMismatch, UsageError
 from profiles.library import fitting, load_profile
 from profiles.schema import Identity, Profile
 
-__all__ = ["Link", "axis_of", "open_drive", "parse"]
+__all__ = ["Link", "axis_of", "is_simulated", "open_drive", "parse"]
 
 SCHEMES = ("virtual", "modbus-tcp", "canopen")
 _MODBUS_PORT = 502
@@ -59,6 +59,23 @@ def parse(text: str) -> Link:
     except ValueError:
         raise UsageError(f"'{text}': options are written ?key=value&key=value") from None
     return Link(text, parts.scheme, place, options)
+
+
+def is_simulated(text: str) -> bool:
+    """Whether a LINK leads to nothing real: virtual, loopback, or a pseudo-terminal."""
+    link = parse(text)
+    if link.scheme == "virtual":
+        return True
+    if link.scheme == "canopen":
+        interface, _, channel = link.place.partition("/")
+        if interface == "virtual":
+            return True
+        if interface == "slcan":
+            return unquote(channel).startswith("/dev/pts/")
+        host = channel.partition("/")[0].rpartition(":")[0] if interface == "socketcand" else ""
+    else:
+        host = link.place.rpartition(":")[0] or link.place
+    return host.strip("[]") in ("localhost", "::1") or host.startswith("127.")
 
 
 def axis_of(link_text: str) -> Axis:

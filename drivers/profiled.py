@@ -145,20 +145,23 @@ class ProfiledDrive:
             )
         self._perform(self.profile.store.steps, "store")
 
-    def arm_watchdog(self) -> tuple[str, ...]:
-        """Arm the drive-side watchdog; return the names of the parameters written."""
+    def watchdog_settings(self) -> dict[str, int]:
+        """Raw value of each parameter that arms the drive-side watchdog; empty: it has none."""
         watchdog = self.profile.watchdog
-        if watchdog.parameter is None:
-            return ()
-        parameter = self._parameter(watchdog.parameter)
-        raw = self.scaling.to_raw(parameter, watchdog.timeout)
+        if watchdog.parameter is None or watchdog.kind == "none":
+            return {}
+        raw = self.scaling.to_raw(self._parameter(watchdog.parameter), watchdog.timeout)
         if watchdog.kind == "heartbeat":
             raw |= watchdog.node << 16  # CiA 301, object 1016h: node in bits 16-23
-        self.write_raw(watchdog.parameter, raw)
-        if watchdog.reaction is None or watchdog.reaction_raw is None:
-            return (watchdog.parameter,)
-        self.write_raw(watchdog.reaction, watchdog.reaction_raw)
-        return (watchdog.parameter, watchdog.reaction)
+        settings = {watchdog.parameter: raw}
+        if watchdog.reaction is not None and watchdog.reaction_raw is not None:
+            settings[watchdog.reaction] = watchdog.reaction_raw
+        return settings
+
+    def preparations(self, mode: Mode) -> dict[str, int]:
+        """Raw value of each parameter that `mode` needs set before it is enabled."""
+        steps = self._supported(mode).before
+        return {s.write: s.raw for s in steps if s.write is not None and s.raw is not None}
 
     # -- energy ----------------------------------------------------------------------------------
 
@@ -198,7 +201,6 @@ class ProfiledDrive:
                 f"the drive is in fault: {self.status_text()}; remove the cause and reset it"
             )
         code = self._supported(mode)
-        self._perform(code.before, f"before mode {code.code}")
         self._select(mode, code)
         self._set_mode(code)
         target = self._parameter(code.set_point)
@@ -215,7 +217,6 @@ class ProfiledDrive:
 
     def disable(self) -> None:
         """Take the energy away from an axis at rest; raises LinkError, DriveFault."""
-        self._bus.post(self._set_point.address, self._rest_raw)
         self._walk(enabled=False)
         self._energised = False
 
@@ -258,33 +259,35 @@ class ProfiledDrive:
             self._idle[out.index("controlword")] = cia402.ENABLE
 
     def _walk(self, *, enabled: bool) -> None:
-        """Walk the state machine, one transition at a time."""
+        """Walk the state machine, one transition at a time, the cycle running all the while."""
         control = self._parameter("controlword").address
-        goal = "enabled" if enabled else "disabled"
+        goals = ("operation enabled",) if enabled else ("switch on disabled", "fault")
+        frame = list(self._frame(self._rest_raw))
         sent: tuple[str, int] | None = None
-        waited = 0.0
+        cycles = 0
         while True:
             word = self.read_raw("statusword")
-            flags = cia402.status(word)
-            if flags.enabled if enabled else cia402.state(word) in (
-                "switch on disabled", "fault",
-            ):  # fmt: skip
+            here = cia402.state(word)
+            if here in goals:
                 return
-            if flags.fault and enabled:
+            if enabled and cia402.status(word).fault:
                 raise DriveFault(f"the drive went into fault while enabling: {self.status_text()}")
             step = cia402.next_controlword(word, enabled=enabled)
-            here = cia402.state(word)
             if step is not None and sent != (here, step):
+                if "controlword" in self.profile.cycle.out:
+                    frame[self.profile.cycle.out.index("controlword")] = step
                 self._bus.write(control, step)
-                sent, waited = (here, step), 0.0
-                continue
-            if waited >= _TRANSITION:
+                sent, cycles = (here, step), 0
+            elif cycles * self.cycle >= _TRANSITION:
+                goal = "enabled" if enabled else "disabled"
                 raise PreflightRefused(
                     f"the drive does not become {goal}: it stays '{here}' for {_TRANSITION:g} s "
                     "(STO or enable input open, or no mains?)"
                 )
-            self._bus.wait(_POLL)
-            waited += _POLL
+            else:
+                # the cycle feeds the drive's watchdog while brake and ramps take their time
+                self._bus.exchange(tuple(frame))
+                cycles += 1
 
     # -- cycle -----------------------------------------------------------------------------------
 

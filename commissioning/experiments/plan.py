@@ -1,0 +1,89 @@
+"""What an experiment is: a generator that yields a set-point and receives the sample after it.
+
+Set-points are torque at the axis, N.m or N. An experiment has no clock and no I/O; time comes from
+the samples. Experiments compose with `yield from` and return a result object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from drivers.sample import Sample
+
+__all__ = ["Context", "Plan", "come_to_rest", "hold"]
+
+T = TypeVar("T")
+Plan = Generator[float, Sample, T]
+
+_REST_SAMPLES = 8
+_REST_TIME = 0.02  # s
+
+
+def _silent(text: str) -> None:
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """What every experiment on an axis needs to know.
+
+    Attributes
+    ----------
+    cycle : s
+    resolution : of the position, rad or m
+    start : position about which the axis moves, rad or m
+    travel : room on either side of `start`, rad or m
+    torque : largest torque command, N.m or N
+    speed : largest speed, rad/s or m/s
+    rest : torque that holds the axis at rest, N.m or N
+    torque_resolution : of the torque command, N.m or N
+    position_unit, effort_unit : for messages
+    tell : called with a line about what is happening
+    """
+
+    cycle: float
+    resolution: float
+    start: float
+    travel: float
+    torque: float
+    speed: float
+    rest: float = 0.0
+    torque_resolution: float = 0.0
+    position_unit: str = "rad"
+    effort_unit: str = "N.m"
+    tell: Callable[[str], None] = field(default=_silent)
+
+    @property
+    def motion(self) -> float:
+        """Displacement that counts as motion: some counts, and never below a share of the travel."""
+        return max(5 * self.resolution, self.travel / 5000)
+
+
+def hold(torque: float, seconds: float) -> Plan[Sample]:
+    """Command `torque` for `seconds`; return the last sample."""
+    sample = yield torque
+    end = sample.time + seconds
+    while sample.time < end:
+        sample = yield torque
+    return sample
+
+
+def come_to_rest(torque: float, context: Context, within: float = 5.0) -> Plan[Sample]:
+    """Command `torque` until the position stands still; return the last sample.
+
+    Still means: within two counts for some samples and 20 ms. Gives up after `within` s, for the
+    envelope and the stop path to deal with.
+    """
+    sample = yield torque
+    began = since = sample.time
+    at, count = sample.position, 0
+    while sample.time - began < within:
+        sample = yield torque
+        if abs(sample.position - at) > 2.5 * context.resolution:
+            at, since, count = sample.position, sample.time, 0
+        count += 1
+        if count >= _REST_SAMPLES and sample.time - since >= _REST_TIME:
+            break
+    return sample

@@ -1,0 +1,75 @@
+"""How far an axis still goes when it is told to stop (safety: envelope)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from commissioning.experiments.first_look import FirstLook
+from commissioning.experiments.plan import Context, Plan
+
+__all__ = ["Stopping", "run_up"]
+
+_PROOF_SPEED = 0.3  # of the speed limit
+_PROOF_TRAVEL = 0.12  # of the travel, for the run-up
+_COAST_TRAVEL = 0.5  # of the travel, that coasting on friction alone may take
+
+
+@dataclass(frozen=True, slots=True)
+class Stopping:
+    """What is certain about stopping.
+
+    For `reaction` the old torque may still act; then `braking` acts until rest:
+
+        v' = |v| + (d − f + |offset|)/J·t,   distance = (|v| + v')/2·t + v'²·J/(2·b)
+
+    Attributes
+    ----------
+    inertia : J, kg.m2 or kg
+    friction : f − |offset|, what is certain of friction, N.m or N
+    braking : b, torque that is certain to brake, N.m or N, > 0
+    reaction : t, s: cycles until the loss is noticed, dead time, and the drive's own reaction
+    """
+
+    inertia: float
+    friction: float
+    braking: float
+    reaction: float
+
+    def coefficients(self, torque: float) -> tuple[float, float, float]:
+        """c0, c1, c2 of distance = c0 + c1·|v| + c2·v² under a relay torque d = `torque`."""
+        a, t = max(torque - self.friction, 0.0) / self.inertia, self.reaction
+        per_square = self.inertia / (2 * self.braking)
+        return (
+            a * t * t / 2 + per_square * (a * t) ** 2,
+            t + 2 * per_square * a * t,
+            per_square,
+        )
+
+    def distance(self, speed: float, torque: float) -> float:
+        """Stopping distance, rad or m."""
+        c0, c1, c2 = self.coefficients(torque)
+        return c0 + (c1 + c2 * speed) * speed
+
+
+def run_up(context: Context, known: FirstLook) -> Plan[tuple[float, float, float]]:
+    """Set the axis in motion and return while it moves, for the stop path to be proved.
+
+    Returns
+    -------
+    time, position and speed of the last sample (s, rad or m, rad/s or m/s; speed > 0)
+    """
+    context.tell("proof of the stop path: a short run, then stop")
+    most = context.torque - abs(known.offset)
+    torque = min(2.0 * max(known.coulomb, known.breakaway), most)
+    coasting = (2 * known.coulomb * _COAST_TRAVEL * context.travel / known.inertia) ** 0.5
+    goal = min(_PROOF_SPEED * context.speed, coasting)
+    before = yield known.offset
+    begin = before.position
+    while True:
+        sample = yield known.offset + torque
+        elapsed = sample.time - before.time
+        speed = (sample.position - before.position) / elapsed if elapsed > 0 else 0.0
+        far = sample.position - begin >= _PROOF_TRAVEL * context.travel
+        if speed >= goal or (far and speed > 0) or sample.time > before.time + 5:
+            return sample.time, sample.position, max(speed, 0.0)
+        before = sample

@@ -1,0 +1,68 @@
+"""SIGINT, SIGTERM and SIGHUP: at once while nothing moves, at the next cycle while it does."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Generator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+from profiles.errors import Interrupted
+
+__all__ = ["Interruption"]
+
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+
+
+class Interruption:
+    """Signal state of one command.
+
+    Outside `deferred` a signal raises Interrupted where the program is. Inside, it is only
+    remembered: the runner looks once a cycle and stops the axis in order. A second signal says that
+    the energy must go now.
+    """
+
+    def __init__(self) -> None:
+        self.signal: int | None = None
+        self.count = 0
+        self._deferred = 0
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Interruption:
+        if threading.current_thread() is threading.main_thread():
+            for name in _NAMES:
+                number = getattr(signal, name, None)
+                if number is not None:
+                    self._before[number] = signal.signal(number, self._on_signal)
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self.signal = number
+        self.count += 1
+        if not self._deferred:
+            self.check()
+
+    def check(self) -> None:
+        """Raise Interrupted if a signal came."""
+        if self.signal is not None:
+            name = signal.Signals(self.signal).name
+            raise Interrupted(f"interrupted by {name}", self.signal)
+
+    def hurried(self) -> bool:
+        """Whether a second signal came."""
+        return self.count >= 2
+
+    @contextmanager
+    def deferred(self) -> Generator[None]:
+        """While something moves or is being written."""
+        self._deferred += 1
+        try:
+            yield
+        finally:
+            self._deferred -= 1

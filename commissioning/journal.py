@@ -1,0 +1,281 @@
+"""What was done to which drive: runs, snapshots and intents, in SQLite, before it is done.
+
+A write to a drive is journalled as an intent, then written, then read back, then marked. So a power
+cut at any instant leaves either the old value, or an intent that `restore` can undo.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import time
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from profiles.errors import JournalError, UnknownName, UsageError
+
+__all__ = ["Intent", "Journal", "RunRecord"]
+
+Kind = Literal["experiment", "compensation"]
+State = Literal["intended", "verified", "restored", "kept"]
+
+_SCHEMA_VERSION = 1
+_SCHEMA = """
+CREATE TABLE IF NOT EXISTS runs (
+    id TEXT PRIMARY KEY, created REAL NOT NULL, axis TEXT NOT NULL, link TEXT NOT NULL,
+    profile TEXT NOT NULL, profile_hash TEXT NOT NULL, serial TEXT NOT NULL,
+    status TEXT NOT NULL, context TEXT NOT NULL
+);
+CREATE TABLE IF NOT EXISTS intents (
+    seq INTEGER PRIMARY KEY AUTOINCREMENT, run TEXT NOT NULL REFERENCES runs(id),
+    kind TEXT NOT NULL, parameter TEXT NOT NULL, old INTEGER NOT NULL, new INTEGER NOT NULL,
+    state TEXT NOT NULL, at REAL NOT NULL
+);
+CREATE TABLE IF NOT EXISTS events (
+    seq INTEGER PRIMARY KEY AUTOINCREMENT, run TEXT NOT NULL REFERENCES runs(id),
+    at REAL NOT NULL, text TEXT NOT NULL
+);
+CREATE INDEX IF NOT EXISTS intents_of_run ON intents(run);
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class RunRecord:
+    """One run. `context` is what is needed to connect again: axis, profile, limits."""
+
+    id: str
+    created: float
+    axis: str
+    link: str
+    profile: str
+    profile_hash: str
+    serial: str
+    status: str
+    context: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Intent:
+    """One parameter write: raw values before and after, and how far it got."""
+
+    seq: int
+    run: str
+    kind: Kind
+    parameter: str
+    old: int
+    new: int
+    state: State
+
+
+class Journal:
+    """The journal of this machine; raises JournalError when it cannot be read or written."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        path = folder / "journal.sqlite"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._db = sqlite3.connect(path, timeout=10, isolation_level=None)
+        except (OSError, sqlite3.Error) as error:
+            raise JournalError(_unwritable(folder, error)) from None
+        with self._errors():
+            self._db.row_factory = sqlite3.Row
+            self._db.execute("PRAGMA journal_mode=WAL")
+            self._db.execute("PRAGMA synchronous=FULL")
+            self._db.execute("PRAGMA foreign_keys=ON")
+            version = self._db.execute("PRAGMA user_version").fetchone()[0]
+            if version > _SCHEMA_VERSION:
+                raise JournalError(
+                    f"{path} was written by a newer tworelay (schema {version}); update tworelay"
+                )
+            self._db.executescript(_SCHEMA)
+            self._db.execute(f"PRAGMA user_version={_SCHEMA_VERSION}")
+            self._db.execute("BEGIN IMMEDIATE")  # a journal that cannot be written shows now
+            self._db.execute("ROLLBACK")
+
+    def close(self) -> None:
+        """Close the file."""
+        self._db.close()
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    @contextmanager
+    def _errors(self) -> Generator[None]:
+        try:
+            yield
+        except sqlite3.Error as error:
+            raise JournalError(_unwritable(self.folder, error)) from None
+
+    # -- runs ------------------------------------------------------------------------------------
+
+    def begin(
+        self,
+        *,
+        axis: str,
+        link: str,
+        profile: str,
+        profile_hash: str,
+        serial: str,
+        context: dict[str, Any],
+    ) -> str:
+        """Open a run; return its id, which sorts by time."""
+        with self._errors():
+            now = time.time()
+            stamp = time.strftime("%Y%m%d-%H%M%S", time.localtime(now))
+            for n in range(1000):
+                run = f"{stamp}-{axis}" + (f"-{n}" if n else "")
+                try:
+                    self._db.execute(
+                        "INSERT INTO runs VALUES (?,?,?,?,?,?,?,?,?)",
+                        (
+                            run, now, axis, link, profile, profile_hash, serial, "running",
+                            json.dumps(context),
+                        ),
+                    )  # fmt: skip
+                except sqlite3.IntegrityError:
+                    continue
+                return run
+        raise JournalError("no free run id within this second")
+
+    def finish(self, run: str, status: str) -> None:
+        """Set the status of a run."""
+        with self._errors():
+            self._db.execute("UPDATE runs SET status=? WHERE id=?", (status, run))
+
+    def run(self, run: str) -> RunRecord:
+        """A run by its id, or `last`; raises UnknownName."""
+        with self._errors():
+            if run == "last":
+                row = self._db.execute(
+                    "SELECT * FROM runs ORDER BY created DESC, id DESC LIMIT 1"
+                ).fetchone()
+            else:
+                row = self._db.execute("SELECT * FROM runs WHERE id=?", (run,)).fetchone()
+            if row is None:
+                recent = self._db.execute("SELECT id FROM runs ORDER BY created DESC LIMIT 5")
+                raise UnknownName("run", run, [found["id"] for found in recent])
+            return RunRecord(**{**dict(row), "context": json.loads(row["context"])})
+
+    def note(self, run: str, text: str) -> None:
+        """Append an event to the run's record."""
+        with self._errors():
+            self._db.execute(
+                "INSERT INTO events(run, at, text) VALUES (?,?,?)", (run, time.time(), text)
+            )
+
+    # -- intents ---------------------------------------------------------------------------------
+
+    def intend(self, run: str, kind: Kind, parameter: str, old: int, new: int) -> int:
+        """Say that `parameter` will be written; durable when this returns."""
+        with self._errors():
+            row = self._db.execute(
+                "INSERT INTO intents(run, kind, parameter, old, new, state, at) "
+                "VALUES (?,?,?,?,?,'intended',?)",
+                (run, kind, parameter, old, new, time.time()),
+            )
+            return int(row.lastrowid or 0)
+
+    def settle(self, seq: int, state: State) -> None:
+        """Say how far an intent got."""
+        with self._errors():
+            self._db.execute(
+                "UPDATE intents SET state=?, at=? WHERE seq=?", (state, time.time(), seq)
+            )
+
+    def intents(self, run: str, *, open_only: bool = False) -> list[Intent]:
+        """Intents of a run in order; `open_only`: those that `restore` would undo."""
+        with self._errors():
+            rows = self._db.execute(
+                "SELECT seq, run, kind, parameter, old, new, state FROM intents WHERE run=? "
+                "ORDER BY seq",
+                (run,),
+            ).fetchall()
+        found = [Intent(**dict(row)) for row in rows]
+        return [i for i in found if i.state in ("intended", "verified")] if open_only else found
+
+    def last_open(self) -> str:
+        """The latest run with something to restore; raises UnknownName."""
+        with self._errors():
+            row = self._db.execute(
+                "SELECT runs.id FROM runs JOIN intents ON intents.run = runs.id "
+                "WHERE intents.state IN ('intended', 'verified') "
+                "ORDER BY runs.created DESC, runs.id DESC LIMIT 1"
+            ).fetchone()
+        if row is None:
+            raise UnknownName("run with anything to restore", "last", [])
+        return str(row["id"])
+
+    def unfinished(self, serial: str) -> list[str]:
+        """Runs on the drive `serial` whose experiment settings were never put back."""
+        with self._errors():
+            rows = self._db.execute(
+                "SELECT DISTINCT runs.id FROM runs JOIN intents ON intents.run = runs.id "
+                "WHERE intents.kind='experiment' AND intents.state IN ('intended', 'verified') "
+                "AND runs.serial=? ORDER BY runs.created",
+                (serial,),
+            ).fetchall()
+        return [str(row["id"]) for row in rows]
+
+    # -- moving a run to another machine -----------------------------------------------------------
+
+    def export(self, run: str) -> dict[str, Any]:
+        """Everything that the journal knows of a run, for JSON."""
+        record = self.run(run)
+        with self._errors():
+            events = self._db.execute(
+                "SELECT at, text FROM events WHERE run=? ORDER BY seq", (record.id,)
+            ).fetchall()
+        return {
+            "schema": "tworelay.journal/1",
+            "run": {name: getattr(record, name) for name in RunRecord.__slots__},
+            "intents": [
+                {name: getattr(i, name) for name in ("kind", "parameter", "old", "new", "state")}
+                for i in self.intents(record.id)
+            ],
+            "events": [dict(row) for row in events],
+        }
+
+    def adopt(self, tree: Any, origin: str) -> str:
+        """Take in a run exported elsewhere, unless it is known; return its id."""
+        try:
+            if tree["schema"] != "tworelay.journal/1":
+                raise KeyError("schema")
+            record = RunRecord(**tree["run"])
+            rows = [
+                (i["kind"], i["parameter"], int(i["old"]), int(i["new"]), i["state"])
+                for i in tree["intents"]
+            ]
+            fields = (
+                record.id, float(record.created), record.axis, record.link, record.profile,
+                record.profile_hash, record.serial, record.status, json.dumps(record.context),
+            )  # fmt: skip
+            if not all(isinstance(field, str | float) for field in fields):
+                raise TypeError("a field of the run is no text")
+        except (KeyError, TypeError, ValueError) as error:
+            raise UsageError(f"{origin}: is no exported run ({error})") from None
+        with self._errors():
+            known = self._db.execute("SELECT 1 FROM runs WHERE id=?", (record.id,)).fetchone()
+            if known is None:
+                self._db.execute("BEGIN IMMEDIATE")
+                self._db.execute("INSERT INTO runs VALUES (?,?,?,?,?,?,?,?,?)", fields)
+                self._db.executemany(
+                    "INSERT INTO intents(run, kind, parameter, old, new, state, at) "
+                    "VALUES (?,?,?,?,?,?,?)",
+                    [(record.id, *row, time.time()) for row in rows],
+                )
+                self._db.execute("COMMIT")
+        return record.id
+
+
+def _unwritable(folder: Path, error: Exception) -> str:
+    return (
+        f"the journal in {folder} cannot be written ({error}); nothing is done without it. Free "
+        "the disk or its permissions, or set TWORELAY_HOME to another folder"
+    )

@@ -1,0 +1,133 @@
+"""The one loop that joins experiment, drive, envelope and recorder, and stops the axis."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from commissioning.envelope import Envelope
+from commissioning.experiments.plan import Plan
+from commissioning.interruption import Interruption
+from drivers.drive import Drive, StopReport
+from drivers.sample import Sample
+from profiles.errors import DriveFault, TwoRelayError
+from profiles.schema import Mode
+
+__all__ = ["Recorder", "run"]
+
+T = TypeVar("T")
+
+
+@dataclass
+class Recorder:
+    """Every sample of a run, and where its phases begin.
+
+    Attributes
+    ----------
+    samples : in the order of time
+    phases : (index of the first sample, what happens from there)
+    on_phase : told about each phase, for progress
+    """
+
+    samples: list[Sample] = field(default_factory=list)
+    phases: list[tuple[int, str]] = field(default_factory=list)
+    on_phase: Callable[[str], None] = lambda text: None  # noqa: E731
+
+    def phase(self, text: str) -> None:
+        """From the next sample on, `text` happens."""
+        self.phases.append((len(self.samples), text))
+        self.on_phase(text)
+
+
+def run(
+    plan: Plan[T],
+    drive: Drive,
+    envelope: Envelope,
+    recorder: Recorder,
+    interruption: Interruption,
+    *,
+    mode: Mode = Mode.TORQUE,
+    rest: float = 0.0,
+    leave_moving: bool = False,
+) -> T:
+    """Drive `plan` to its end; the axis is stopped and de-energised on every way out.
+
+    Parameters
+    ----------
+    rest : set-point in force before the first and after the last command
+    leave_moving : the plan ends in motion and the stop path ends it
+
+    Raises
+    ------
+    TwoRelayError
+        Of the plan, the drive, the envelope or an interruption; its message says also how the stop
+        went when that is not verified.
+    """
+    watch = envelope.watch()
+    record, check, admit = recorder.samples.append, watch.check, watch.admit
+    exchange, send = drive.exchange, plan.send
+    with interruption.deferred(), _collector_off():
+        try:
+            interruption.check()
+            drive.enable(mode, rest)
+            set_point = next(plan)
+            try:
+                while True:
+                    if mode is Mode.TORQUE:
+                        admit(set_point)
+                    sample = exchange(set_point)
+                    record(sample)
+                    if not sample.status.enabled:
+                        raise DriveFault(_fault_text(drive))
+                    check(sample)
+                    if interruption.signal is not None:
+                        interruption.check()
+                    set_point = send(sample)
+            except StopIteration as end:
+                result: T = end.value
+            if leave_moving:
+                _verified(drive.stop(interruption.hurried), None)
+            else:
+                drive.disable()
+        except BaseException as error:
+            plan.close()
+            _verified(drive.stop(interruption.hurried), error)
+            raise
+    return result
+
+
+def _verified(report: StopReport, error: BaseException | None) -> None:
+    """Raise, or say in `error`, that a stop could not be verified."""
+    if report.deenergised:
+        return
+    if isinstance(error, TwoRelayError):
+        error.args = (f"{error}; {report}",)
+    elif error is None:
+        raise DriveFault(str(report))
+
+
+def _fault_text(drive: Drive) -> str:
+    """Why the drive is no longer enabled."""
+    try:
+        state = drive.status_text()
+    except TwoRelayError as error:
+        return f"the drive left operation and cannot be asked why ({error})"
+    return (
+        f"the drive stopped by itself: {state}; look the code up in its manual, remove the cause, "
+        "then try again"
+    )
+
+
+@contextmanager
+def _collector_off():  # type: ignore[no-untyped-def]
+    """No garbage collection pauses while the loop runs."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()

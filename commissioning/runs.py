@@ -1,0 +1,170 @@
+"""Files of a run: result, samples, profile, report."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from commissioning.journal import Journal
+from commissioning.runner import Recorder
+from profiles.errors import JournalError, UnknownName, UsageError
+
+__all__ = ["RunFolder", "Samples", "resolve"]
+
+_COLUMNS = ("time", "position", "torque", "command", "sent", "lateness", "missed")
+_LARGEST_JSON = 20_000_000  # bytes
+
+
+class Samples:
+    """Recorded samples as columns, and the phases of the run.
+
+    Each column is an (n,) array in the unit of Sample; time counts from the first sample.
+    """
+
+    def __init__(
+        self, columns: dict[str, NDArray[np.float64]], phases: list[tuple[int, str]]
+    ) -> None:
+        self.columns = columns
+        self.phases = phases
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        return self.columns[name]
+
+    def __len__(self) -> int:
+        return len(self.columns["time"])
+
+    @classmethod
+    def of(cls, recorder: Recorder) -> Samples:
+        """Columns of what was recorded."""
+        rows = np.array(
+            [(s[0], s[1], s[2], s[3], s[4], s[6], s[7]) for s in recorder.samples], float
+        ).reshape(-1, len(_COLUMNS))
+        if len(rows):
+            begin = rows[0, 4]
+            rows[:, 0] -= begin
+            rows[:, 4] -= begin
+        return cls(dict(zip(_COLUMNS, rows.T, strict=True)), list(recorder.phases))
+
+
+class RunFolder:
+    """The folder of one run under TWORELAY_HOME, or an exported one."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @classmethod
+    def of(cls, journal: Journal, run: str) -> RunFolder:
+        """Folder of the run `run`."""
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", run):
+            raise UsageError(f"'{run}' is no run id")
+        return cls(journal.folder / "runs" / run)
+
+    def save(self, result: dict[str, Any], samples: Samples | None, profile: str | None) -> None:
+        """Write what is given; raises JournalError."""
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            _replace(self.path / "run.json", json.dumps(result, indent=1, allow_nan=False))
+            if samples is not None:
+                np.savez(
+                    self.path / "samples.npz",
+                    allow_pickle=False,
+                    phases=np.array(json.dumps(samples.phases)),
+                    **samples.columns,
+                )
+            if profile is not None:
+                _replace(self.path / "profile.toml", profile)
+        except OSError as error:
+            raise JournalError(f"cannot write the run to {self.path}: {error}") from None
+
+    def result(self) -> dict[str, Any]:
+        """The result JSON; raises UsageError."""
+        path = self.path / "run.json"
+        try:
+            if path.stat().st_size > _LARGEST_JSON:
+                raise UsageError(f"{path}: too large for a run")
+            found = json.loads(path.read_text("utf-8"))
+        except OSError:
+            raise UsageError(f"{self.path} holds no run (run.json is missing)") from None
+        except (ValueError, RecursionError) as error:
+            raise UsageError(f"{path}: is no JSON: {error}") from None
+        if not isinstance(found, dict) or found.get("schema") != "tworelay.run/1":
+            raise UsageError(f"{path}: is no result of tworelay")
+        return found
+
+    def samples(self) -> Samples | None:
+        """Recorded samples, or None where the run has none."""
+        path = self.path / "samples.npz"
+        if not path.exists():
+            return None
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                columns = {name: np.asarray(archive[name], float) for name in _COLUMNS}
+                phases = [(int(n), str(text)) for n, text in json.loads(str(archive["phases"]))]
+        except (OSError, ValueError, KeyError, EOFError) as error:
+            raise UsageError(f"{path}: cannot be read as samples: {error}") from None
+        return Samples(columns, phases)
+
+    def profile_path(self) -> Path:
+        """The profile as it was in this run."""
+        return self.path / "profile.toml"
+
+    def export(self, journal: Journal, run: str, target: Path) -> list[Path]:
+        """Copy the run to `target` with its journal and samples as CSV; return the files."""
+        result = self.result()
+        try:
+            target.mkdir(parents=True, exist_ok=True)
+            for path in self.path.iterdir():
+                shutil.copy2(path, target / path.name)
+            (target / "journal.json").write_text(json.dumps(journal.export(run), indent=1), "utf-8")
+            samples = self.samples()
+            if samples is not None:
+                _write_csv(target / "samples.csv", samples, result)
+        except OSError as error:
+            raise UsageError(f"cannot export to {target}: {error}") from None
+        return sorted(target.iterdir())
+
+
+def resolve(journal: Journal, run: str) -> tuple[str, RunFolder]:
+    """RUN → its id and folder: an id, `last`, or the folder of an exported run."""
+    path = Path(run)
+    if path.is_dir() and (path / "run.json").exists():
+        origin = path / "journal.json"
+        try:
+            if origin.stat().st_size > _LARGEST_JSON:
+                raise UsageError(f"{origin}: too large for a journal")
+            tree = json.loads(origin.read_text("utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
+            raise UsageError(f"{origin}: cannot be read: {error}") from None
+        return journal.adopt(tree, str(origin)), RunFolder(path)
+    record = journal.run(run)
+    folder = RunFolder.of(journal, record.id)
+    if not folder.path.exists():
+        raise UnknownName("run with files", record.id, [])
+    return record.id, folder
+
+
+def _replace(path: Path, text: str) -> None:
+    fresh = path.with_suffix(path.suffix + ".new")
+    fresh.write_text(text, "utf-8")
+    fresh.replace(path)
+
+
+def _write_csv(path: Path, samples: Samples, result: dict[str, Any]) -> None:
+    linear = result.get("units", {}).get("position") == "m"
+    position, effort = ("m", "N") if linear else ("rad", "Nm")
+    kind = "force" if linear else "torque"
+    header = [
+        "time_s", f"position_{position}", f"{kind}_{effort}", f"command_{effort}", "sent_s",
+        "lateness_s", "missed_cycles",
+    ]  # fmt: skip
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows(zip(*(samples[name].tolist() for name in _COLUMNS), strict=True))

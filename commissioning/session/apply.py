@@ -1,0 +1,181 @@
+"""Write what a run proposed, put back what was there, and make safe: the acts that change a drive."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from commissioning.journal import RunRecord
+from commissioning.runs import RunFolder, resolve
+from commissioning.session.desk import Desk, connect, same_drive
+from commissioning.settings import Restored, Settings, put_back
+from drivers.drive import Drive, StopReport
+from profiles.axis import Axis
+from profiles.errors import (
+    DriveFault,
+    LinkError,
+    PreflightRefused,
+    Refused,
+    TwoRelayError,
+    UsageError,
+    WriteFailed,
+)
+
+__all__ = ["apply", "restore", "stop"]
+
+
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    parameter: str
+    old: int
+    new: int
+
+
+def axis_of_run(record: RunRecord, folder: RunFolder, link: str | None) -> Axis:
+    """The axis of a run, on its own link or another, with the profile as it was in the run."""
+    try:
+        axis = Axis.model_validate_json(_json(record.context["axis"]))
+    except (KeyError, ValueError, TypeError) as error:
+        raise UsageError(f"run {record.id}: its axis cannot be read ({error})") from None
+    profile = folder.profile_path()
+    return axis.model_copy(
+        update={
+            "link": link or record.link,
+            "profile": str(profile) if profile.exists() else record.profile,
+        }
+    )
+
+
+def _json(tree: Any) -> str:
+    import json
+
+    return json.dumps(tree)
+
+
+def apply(
+    run: str, link: str | None, desk: Desk, show: Callable[[list[dict[str, Any]]], None]
+) -> dict[str, Any]:
+    """Write the proposal of `run` to its drive, read back, store; return the result JSON.
+
+    `show` gets the proposal with the values that are in the drive now.
+    """
+    run_id, folder = resolve(desk.journal, run)
+    record, result = desk.journal.run(run_id), folder.result()
+    proposal = result["compensation"]
+    if result["status"] != "completed" or not proposal:
+        reason = (
+            f"its status is '{result['status']}'"
+            if result["status"] != "completed"
+            else "its drive has no friction compensation to write to"
+        )
+        raise Refused(f"run {run_id} proposes nothing: {reason}")
+    axis = axis_of_run(record, folder, link)
+    with connect(axis, None, desk) as drive:
+        same_drive(drive.identity(), record.serial, run_id)
+        if drive.is_energised():
+            raise PreflightRefused(
+                "the drive is enabled: its compensation is not changed while it controls the axis; "
+                "disable it first"
+            )
+        wanted = [
+            _Wanted(item["parameter"], drive.read_raw(item["parameter"]), int(item["new_raw"]))
+            for item in proposal
+        ]
+        for item, now in zip(proposal, wanted, strict=True):
+            parameter = drive.profile.parameters[now.parameter]
+            item["old_raw"], item["old"] = now.old, drive.scaling.to_si(parameter, now.old)
+        show(proposal)
+        if any(w.old != w.new for w in wanted):
+            desk.agree(f"These values will be WRITTEN to axis '{axis.name}' and stored.", axis.name)
+            with desk.interruption.deferred():
+                _write(drive, desk, run_id, wanted)
+        else:
+            desk.tell("the drive has these values already")
+        for item in proposal:
+            item["written"] = True
+        folder.save(result, None, None)
+        desk.interruption.check()
+    return result
+
+
+def _write(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted]) -> None:
+    """RAM first, each read back; then store once; then read everything again."""
+    settings = Settings(desk.journal, run_id, drive)
+    try:
+        for item in wanted:
+            if desk.interruption.hurried():
+                desk.interruption.check()
+            if settings.write("compensation", item.parameter, item.new):
+                desk.tell(f"{item.parameter}: {item.old} → {item.new}, read back")
+        if drive.profile.store is None:
+            desk.tell(
+                f"profile '{drive.profile.name}' has no store procedure: the values are lost at "
+                "power-off"
+            )
+        else:
+            drive.store()
+            desk.journal.note(run_id, "stored")
+            for item in wanted:
+                there = drive.read_raw(item.parameter)
+                if there != item.new:
+                    raise WriteFailed(
+                        f"'{item.parameter}' reads {there} after the store, not {item.new}"
+                    )
+            desk.tell("stored in the drive's non-volatile memory, read back again")
+    except TwoRelayError as error:
+        error.args = (
+            f"{error}; what was written so far is in the journal: 'tworelay restore {run_id}' puts "
+            "the old values back",
+        )
+        raise
+
+
+def restore(run: str | None, link: str | None, desk: Desk, *, force: bool) -> Restored:
+    """Put back every parameter that `run` (default: the latest with any) changed, and store."""
+    if run is None:
+        run_id = desk.journal.last_open()
+        folder = RunFolder.of(desk.journal, run_id)
+    else:
+        run_id, folder = _resolve_any(desk, run)
+    record = desk.journal.run(run_id)
+    intents = desk.journal.intents(run_id, open_only=True)
+    if not intents:
+        return Restored()
+    axis = axis_of_run(record, folder, link)
+    with connect(axis, None, desk) as drive, desk.interruption.deferred():
+        same_drive(drive.identity(), record.serial, run_id)
+        if drive.is_energised():
+            raise PreflightRefused(
+                "the drive is enabled: 'tworelay stop' makes it safe, then restore"
+            )
+        outcome = put_back(drive, desk.journal, intents, force=force)
+        if any(intent.kind == "compensation" for intent in intents) and (
+            outcome.restored and drive.profile.store is not None
+        ):
+            drive.store()
+            desk.journal.note(run_id, "restored and stored")
+    if not outcome.complete:
+        raise WriteFailed(f"restore of run {run_id} is incomplete: {outcome}")
+    return outcome
+
+
+def _resolve_any(desk: Desk, run: str) -> tuple[str, RunFolder]:
+    """Like `resolve`, but a run killed before it wrote files is good enough to restore."""
+    from pathlib import Path
+
+    if Path(run).is_dir():
+        return resolve(desk.journal, run)
+    record = desk.journal.run(run)
+    return record.id, RunFolder.of(desk.journal, record.id)
+
+
+def stop(axis: Axis, desk: Desk) -> StopReport:
+    """Make safe what a dead process left energised; raises when that is not verified."""
+    with connect(axis, None, desk) as drive:
+        report = drive.stop()
+    if report.deenergised is None:
+        raise LinkError(str(report))
+    if not report.deenergised:
+        raise DriveFault(str(report))
+    return report

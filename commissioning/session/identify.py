@@ -1,0 +1,415 @@
+"""Measure one axis: from the link to a proposal. Nothing is changed for good."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import inf
+from typing import Any, TypeVar
+
+from commissioning.compensation import Change, Known, propose
+from commissioning.envelope import Envelope
+from commissioning.experiments.approach import approach
+from commissioning.experiments.creep import balancing_torque
+from commissioning.experiments.first_look import FirstLook, first_look
+from commissioning.experiments.plan import Context, Plan
+from commissioning.experiments.stopping import Stopping, run_up
+from commissioning.experiments.two_relay import RelayDesign, Solver, TwoRelay, design, two_relay
+from commissioning.identification.two_relay import Estimate, FrictionEstimate, from_cycles
+from commissioning.runner import Recorder, run
+from commissioning.runs import RunFolder, Samples
+from commissioning.session.desk import Desk, Options, connect
+from commissioning.session.preflight import (
+    Limits,
+    choose_limits,
+    look,
+    prove_watchdog,
+    set_limits,
+    writes,
+)
+from commissioning.session.result import (
+    blank,
+    changes_json,
+    critical_points,
+    friction_json,
+    method_json,
+)
+from commissioning.settings import Settings
+from drivers.drive import Drive
+from profiles.axis import Axis
+from profiles.errors import (
+    DriveFault,
+    MeasurementRejected,
+    PreflightRefused,
+    Refused,
+    TwoRelayError,
+    WriteFailed,
+)
+from profiles.library import digest, source_text
+from profiles.schema import CompensationLaw, Mode
+
+__all__ = ["Failure", "identify"]
+
+T = TypeVar("T")
+
+_LOW_SPEED = 0.35  # of the speed limit, while nothing is known
+_THERMAL = 5.0  # s at twice-and-a-bit the rated torque: budget in rated² seconds
+_BRAKING_SHARE = 0.7  # of the braking that was seen, for what is certain
+_NOTICE = 4  # cycles: three missed ones and the one under way
+_LEAST_PERIOD = 20  # dead times
+
+
+class Failure(Exception):
+    """A job that ended early: its error, and the result as far as it got."""
+
+    def __init__(self, error: TwoRelayError, result: dict[str, Any]) -> None:
+        super().__init__(str(error))
+        self.error = error
+        self.result = result
+
+
+@dataclass(frozen=True, slots=True)
+class _Measured:
+    look: FirstLook
+    plan: RelayDesign
+    tests: TwoRelay
+    estimate: FrictionEstimate
+
+
+def identify(axis: Axis, options: Options, desk: Desk) -> dict[str, Any]:
+    """Run the experiments on `axis` and return the result JSON.
+
+    Raises
+    ------
+    Failure
+        Around any TwoRelayError, with the result so far. The axis is at rest and de-energised, and
+        every setting of the experiment is back, or the error says what is not.
+    """
+    result = blank(axis, axis.link, None, None)
+    try:
+        with connect(axis, options.cycle, desk) as drive:
+            return _identify(axis, options, desk, drive, result)
+    except TwoRelayError as error:
+        result["status"] = error.status
+        result["quality"] = {"verdict": "rejected", "reasons": [str(error)]}
+        raise Failure(error, result) from error
+
+
+def _identify(
+    axis: Axis, options: Options, desk: Desk, drive: Drive, result: dict[str, Any]
+) -> dict[str, Any]:
+    identity = drive.identity()
+    result |= blank(axis, drive.link, drive.profile, identity)
+    desk.tell(f"drive: {identity}; profile {drive.profile.name} {drive.profile.version}")
+    left = desk.journal.unfinished(identity.serial)
+    if left:
+        raise Refused(
+            f"run {left[-1]} on this drive was cut off and left settings changed; "
+            f"'tworelay restore {left[-1]}' puts them back"
+        )
+    look(drive, axis)
+    limits = choose_limits(drive, axis, options)
+    if options.dry_run:
+        return _dry_run(axis, drive, limits, desk, result)
+    desk.agree(_arming_text(axis, limits), axis.name)
+    run_id = desk.journal.begin(
+        axis=axis.name,
+        link=drive.link,
+        profile=drive.profile.name,
+        profile_hash=digest(drive.profile),
+        serial=identity.serial,
+        context={"axis": axis.model_dump(mode="json"), "fraction": options.fraction},
+    )
+    result["run"] = run_id
+    recorder = Recorder(on_phase=desk.tell)
+    folder = RunFolder.of(desk.journal, run_id)
+    try:
+        job = _Job(axis, options, desk, drive, limits, recorder, Settings(desk.journal, run_id, drive))
+        measured = job.measure()
+        _fill(result, measured, axis, drive, recorder, limits)
+        changes = _proposal(drive, measured, options.fraction)
+        result["compensation"] = changes_json(changes)
+        result["status"] = "completed"
+    except TwoRelayError as error:
+        result["status"] = error.status
+        result["quality"] = {"verdict": "rejected", "reasons": [str(error)]}
+        raise
+    finally:
+        with desk.interruption.deferred():
+            if result["experiment"] is None:
+                result["experiment"] = _experiment(recorder, drive.cycle, 0)
+            desk.journal.finish(run_id, result["status"])
+            name = axis.profile or drive.profile.name
+            folder.save(result, Samples.of(recorder), source_text(name))
+    return result
+
+
+def _arming_text(axis: Axis, limits: Limits) -> str:
+    p, e = axis.position_unit, axis.effort_unit
+    return (
+        f"Axis '{axis.name}' will MOVE by itself: up to ±{limits.travel:.4g} {p} about its present "
+        f"position, with up to {limits.torque:.4g} {e} and {limits.speed:.4g} {p}/s, for about a "
+        "minute. tworelay is not a safety function: keep people clear and the emergency stop in "
+        "reach."
+    )
+
+
+def _dry_run(
+    axis: Axis, drive: Drive, limits: Limits, desk: Desk, result: dict[str, Any]
+) -> dict[str, Any]:
+    """Say what would be written; write nothing."""
+    desk.tell(_arming_text(axis, limits))
+    for name, raw in writes(drive, limits).items():
+        desk.tell(f"would set {name}: {drive.read_raw(name)} → {raw}, and put it back")
+    desk.tell("dry run: nothing was written or moved")
+    result["status"] = "completed"
+    return result
+
+
+class _Job:
+    """One measurement on one connected drive."""
+
+    def __init__(
+        self,
+        axis: Axis,
+        options: Options,
+        desk: Desk,
+        drive: Drive,
+        limits: Limits,
+        recorder: Recorder,
+        settings: Settings,
+    ) -> None:
+        self.axis = axis
+        self.options = options
+        self.desk = desk
+        self.drive = drive
+        self.limits = limits
+        self.recorder = recorder
+        self.settings = settings
+        parameters = drive.profile.parameters
+        self.context = Context(
+            cycle=drive.cycle,
+            resolution=drive.scaling.step(parameters["position_actual"]),
+            start=limits.start,
+            travel=limits.travel,
+            torque=limits.torque,
+            speed=limits.speed,
+            torque_resolution=drive.scaling.step(parameters["torque_target"]),
+            position_unit=axis.position_unit,
+            effort_unit=axis.effort_unit,
+            tell=recorder.phase,
+        )
+        self.envelope = Envelope(
+            centre=limits.start,
+            travel=limits.travel,
+            speed=_LOW_SPEED * limits.speed,
+            torque=limits.torque,
+            duration=limits.duration,
+            rated=limits.rated,
+            thermal=_THERMAL * limits.rated**2,
+            position_unit=axis.position_unit,
+            effort_unit=axis.effort_unit,
+        )
+
+    def measure(self) -> _Measured:
+        """All experiments; the settings are put back on every way out."""
+        try:
+            with self.desk.interruption.deferred():
+                set_limits(self.drive, self.settings, self.limits)
+            self.desk.interruption.check()
+            measured = self._experiments()
+        except BaseException as error:
+            self._put_back(error)
+            raise
+        self._put_back(None)
+        return measured
+
+    def _put_back(self, error: BaseException | None) -> None:
+        with self.desk.interruption.deferred():
+            outcome = self.settings.restore()
+        if outcome.complete:
+            return
+        text = f"settings of the experiment are not all back: {outcome}; 'tworelay restore' tries again"
+        if error is None:
+            raise WriteFailed(text)
+        if isinstance(error, TwoRelayError):
+            error.args = (f"{error}; {text}",)
+
+    def _run(self, plan: Plan[T], rest: float, *, leave_moving: bool = False) -> T:
+        spent = self.recorder.samples[-1].time - self.recorder.samples[0].time if (
+            self.recorder.samples
+        ) else 0.0  # fmt: skip
+        envelope = replace(self.envelope, duration=max(self.limits.duration - spent, 0.0))
+        return run(
+            plan, self.drive, envelope, self.recorder, self.desk.interruption,
+            rest=rest, leave_moving=leave_moving,
+        )  # fmt: skip
+
+    def _experiments(self) -> _Measured:
+        rest = self._holding_torque() if self.axis.mechanics.held_by != "friction" else 0.0
+        self.context = replace(self.context, rest=rest)
+        prove_watchdog(
+            self.drive, rest, self.desk.interruption, self.recorder.phase,
+            without=self.options.without_watchdog,
+        )  # fmt: skip
+        known = self._run(first_look(self.context), rest)
+        if abs(known.offset) > known.breakaway and self.axis.mechanics.held_by == "friction":
+            e = self.axis.effort_unit
+            raise PreflightRefused(
+                f"the load of {known.offset:.4g} {e} is more than friction holds "
+                f"({known.breakaway:.4g} {e}): the axis falls when the torque goes. Declare its "
+                "brake, counterbalance or fixture in an axis file ([mechanics] held_by)"
+            )
+        stopping = self._prove_stop(known)
+        rest = known.offset
+        self.context = replace(self.context, rest=rest)
+        plan = design(self.context, known, stopping)
+        self.envelope = replace(
+            self.envelope, speed=self.limits.speed, stopping=stopping, relay_torque=plan.d2
+        )
+        tests = self._run(self._relay_job(known, plan), rest)
+        estimate = from_cycles(tests.first, tests.second)
+        if not 0 < estimate.coulomb.value < plan.d1:
+            raise MeasurementRejected(
+                f"the two relay tests give a friction of {estimate.coulomb.value:.4g} "
+                f"{self.axis.effort_unit}, which their own amplitude of {plan.d1:.4g} "
+                f"{self.axis.effort_unit} contradicts; is the axis rigid, and free to move?"
+            )
+        return _Measured(known, plan, tests, estimate)
+
+    def _relay_job(self, known: FirstLook, plan: RelayDesign) -> Plan[TwoRelay]:
+        yield from approach(self.context, self.context.start, known)
+        solver: Solver = "thesis" if self.options.solver == "thesis" else "bracket"
+        return (yield from two_relay(self.context, plan, known, solver=solver))
+
+    def _holding_torque(self) -> float:
+        """Torque that holds the axis, read while the drive holds its position."""
+        if "torque_actual" not in self.drive.profile.cycle.in_:
+            raise PreflightRefused(
+                f"the axis is held by a {self.axis.mechanics.held_by}, but profile "
+                f"'{self.drive.profile.name}' does not exchange torque_actual, so the torque that "
+                "holds it cannot be known"
+            )
+        self.recorder.phase("holding torque: creep up and down in position mode")
+        before = len(self.recorder.samples)
+        envelope = replace(self.envelope, rated=inf, thermal=inf)
+        start = self.drive.read("position_actual")
+        torque = run(
+            balancing_torque(replace(self.context, start=start)),
+            self.drive, envelope, self.recorder, self.desk.interruption, mode=Mode.POSITION,
+        )  # fmt: skip
+        # the position commands were no torques: they do not belong to the torque record
+        del self.recorder.samples[before:]
+        return torque
+
+    def _prove_stop(self, known: FirstLook) -> Stopping:
+        """Set the axis in motion, stop it by the stop path, and see what braking is certain."""
+        time, position, speed = self._run(
+            run_up(self.context, known), known.offset, leave_moving=True
+        )
+        distance = abs(self.drive.read("position_actual") - position)
+        delay = known.dead_time + self.drive.cycle
+        counted = max(distance - speed * delay, 0.25 * distance, 1e-12)
+        braking = _BRAKING_SHARE * known.inertia * speed**2 / (2 * counted)
+        friction = known.coulomb - abs(known.offset)
+        certain = max(braking, friction)
+        if not certain > 0 or not speed > 0:
+            raise DriveFault(
+                f"the stop path could not be proved ({distance:.3g} {self.axis.position_unit} from "
+                f"{speed:.3g} {self.axis.position_unit}/s); nothing larger is moved"
+            )
+        self.recorder.phase(
+            f"stop path proved: {speed:.3g} {self.axis.position_unit}/s to rest within "
+            f"{distance:.3g} {self.axis.position_unit}"
+        )
+        reaction = _NOTICE * self.drive.cycle + known.dead_time
+        return Stopping(known.inertia, friction, certain, reaction)
+
+
+def _fill(
+    result: dict[str, Any],
+    measured: _Measured,
+    axis: Axis,
+    drive: Drive,
+    recorder: Recorder,
+    limits: Limits,
+) -> None:
+    """Put the numbers into the result."""
+    estimate, known = measured.estimate, measured.look
+    estimates: dict[str, Estimate | None] = {
+        "coulomb": estimate.coulomb,
+        "offset": estimate.offset,
+    }
+    result["friction"] = friction_json("two-relay", estimates, axis, drive.profile, drive.scaling)
+    result["methods"] = {"two-relay": method_json(estimate)}
+    result["critical_point"] = critical_points(estimate.first, estimate.complex_coulomb)
+    result["experiment"] = _experiment(recorder, drive.cycle, measured.tests.periods)
+    result["experiment"] |= {
+        "spans": [list(measured.tests.first_span), list(measured.tests.second_span)],
+        "tests": measured.tests.tests,
+        "limits": {
+            "travel": limits.travel,
+            "torque": limits.torque,
+            "speed": limits.speed,
+        },
+        "first_look": {
+            "breakaway": known.breakaway,
+            "coulomb": known.coulomb,
+            "offset": known.offset,
+            "viscous": known.viscous,
+            "inertia": known.inertia,
+            "dead_time": known.dead_time,
+        },
+    }
+    if recorder.samples:
+        begin = recorder.samples[0].sent
+        result["experiment"]["spans"] = [
+            [t - begin for t in span] for span in result["experiment"]["spans"]
+        ]
+    result["quality"] = _quality(measured, axis)
+
+
+def _quality(measured: _Measured, axis: Axis) -> dict[str, Any]:
+    reasons = []
+    tests, f = measured.tests, measured.estimate.coulomb.value
+    for number, cycle in ((1, tests.first), (2, tests.second)):
+        if not cycle.settled:
+            reasons.append(f"relay test {number} did not settle within {cycle.periods} periods")
+    if tests.first.period < _LEAST_PERIOD * measured.look.dead_time:
+        reasons.append(
+            f"the period of {tests.first.period * 1000:.3g} ms is short against the dead time of "
+            f"{measured.look.dead_time * 1000:.3g} ms; more travel would allow a longer one"
+        )
+    share = f / tests.first.relay_amplitude
+    if not 0.2 <= share <= 0.8:
+        reasons.append(f"friction is {share:.2f} of the smaller relay amplitude (0.2–0.8 is sound)")
+    return {"verdict": "usable" if reasons else "good", "reasons": reasons}
+
+
+def _experiment(recorder: Recorder, cycle: float, periods: int) -> dict[str, Any]:
+    samples = recorder.samples
+    if not samples:
+        return {
+            "periods": 0, "duration": 0.0, "cycle": cycle, "late_share": 0.0, "lost_share": 0.0,
+            "travel": 0.0,
+        }  # fmt: skip
+    positions = [s.position for s in samples]
+    late = sum(s.lateness > 0.5 * cycle for s in samples)
+    lost = sum(s.missed for s in samples)
+    return {
+        "periods": periods,
+        "duration": samples[-1].time - samples[0].sent,
+        "cycle": cycle,
+        "late_share": late / len(samples),
+        "lost_share": lost / (len(samples) + lost),
+        "travel": max(positions) - min(positions),
+    }
+
+
+def _proposal(drive: Drive, measured: _Measured, fraction: float) -> list[Change]:
+    law = drive.profile.compensation
+    if law.law is CompensationLaw.NONE:
+        return []
+    old = {name: drive.read_raw(name) for name in law.terms.values()}
+    known = Known(measured.estimate.coulomb.value, measured.estimate.offset.value)
+    return propose(drive.profile, drive.scaling, known, old, fraction)
+

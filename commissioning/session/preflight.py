@@ -1,0 +1,178 @@
+"""Before energy: is the drive fit to be moved, and which limits hold (safety 1–6)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from commissioning.interruption import Interruption
+from commissioning.session.desk import Options
+from commissioning.settings import Settings
+from drivers.drive import Drive
+from drivers.link import is_simulated
+from profiles.axis import Axis
+from profiles.errors import PreflightRefused, Refused, UsageError
+from profiles.schema import Mode
+
+__all__ = ["Limits", "choose_limits", "look", "prove_watchdog", "set_limits", "writes"]
+
+_AT_REST_COUNTS = 3
+_LOOK = 0.05  # s
+_PROOF_CYCLES = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What holds in this run, SI at the axis.
+
+    Attributes
+    ----------
+    start : position at the beginning, rad or m
+    travel, torque, speed : rad or m, N.m or N, rad/s or m/s
+    rated : rated torque at the axis, N.m or N
+    duration : s, of the whole experiment
+    """
+
+    start: float
+    travel: float
+    torque: float
+    speed: float
+    rated: float
+    duration: float
+
+
+def look(drive: Drive, axis: Axis) -> None:
+    """Read-only checks; raises PreflightRefused, Refused."""
+    if os.environ.get("CI") and not is_simulated(drive.link):
+        allowed = os.environ.get("TWORELAY_ALLOW_REAL", "").split(",")
+        if axis.name not in allowed:
+            raise Refused(
+                f"CI is set and {drive.link} is a real adapter: axis '{axis.name}' is not moved "
+                f"from CI. If it may be, set TWORELAY_ALLOW_REAL={axis.name}"
+            )
+    if drive.in_fault():
+        raise PreflightRefused(
+            f"the drive is in fault: {drive.status_text()}; remove the cause and reset it, then "
+            "try again"
+        )
+    if drive.is_energised():
+        raise PreflightRefused(
+            "the drive is already enabled, so somebody else controls it (or a dead process left "
+            "it so: 'tworelay stop' makes it safe)"
+        )
+    drive.preparations(Mode.TORQUE)  # refuses a drive without torque mode
+    before = drive.read("position_actual")
+    drive.wait(_LOOK)
+    moved = abs(drive.read("position_actual") - before)
+    step = drive.scaling.step(drive.profile.parameters["position_actual"])
+    if moved > _AT_REST_COUNTS * step:
+        raise PreflightRefused(
+            f"the axis moves by itself: {moved:.3g} {axis.position_unit} in {_LOOK:g} s; bring it "
+            "to rest first"
+        )
+
+
+def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
+    """Travel, torque and speed of this run: the user's, else the axis', else the drive's."""
+    travel = options.travel or axis.travel
+    if travel is None:
+        raise UsageError(
+            f"how far may the axis move? Give --travel ±X in {axis.position_unit} about the "
+            "present position, or an axis file with travel"
+        )
+    mechanics = axis.mechanics
+    rated = drive.scaling.rated_torque * mechanics.effort_per_torque
+    named = drive.profile.limits
+    most = drive.read(named["torque"]) if "torque" in named else rated
+    torque = options.max_torque or axis.limits.torque or min(rated, most)
+    fastest = drive.read(named["speed"]) if "speed" in named else None
+    speed = options.max_speed or axis.limits.speed or fastest
+    if not speed:
+        raise UsageError(
+            f"how fast may the axis move? The drive has no speed limit: give --max-speed in "
+            f"{axis.position_unit}/s"
+        )
+    if torque > most * (1 + 1e-9):
+        raise PreflightRefused(
+            f"max torque of {torque:.4g} {axis.effort_unit} is above the drive's own limit of "
+            f"{most:.4g} {axis.effort_unit} ('{named.get('torque')}')"
+        )
+    return Limits(
+        drive.read("position_actual"),
+        travel,
+        torque,
+        min(speed, fastest) if fastest else speed,
+        rated,
+        options.duration or axis.limits.duration,
+    )
+
+
+def writes(drive: Drive, limits: Limits) -> dict[str, int]:
+    """Raw value of every parameter that is set for the experiment and put back after it."""
+    named = drive.profile.limits
+    found: dict[str, int] = {}
+    for kind, value in (("torque", limits.torque), ("speed", 1.2 * limits.speed)):
+        name = named.get(kind)  # type: ignore[call-overload]
+        if name is not None:
+            parameter = drive.profile.parameters[name]
+            raw = drive.scaling.to_raw(parameter, value)
+            there = drive.read_raw(name)
+            found[name] = max(1, min(raw, there)) if there > 0 else raw
+    found |= drive.preparations(Mode.TORQUE)
+    found |= drive.watchdog_settings()
+    return found
+
+
+def set_limits(drive: Drive, settings: Settings, limits: Limits) -> None:
+    """Write the drive-side limits and arm the watchdog; refused when the drive does not take them."""
+    for name, raw in writes(drive, limits).items():
+        settings.write("experiment", name, raw)
+
+
+def prove_watchdog(
+    drive: Drive,
+    rest: float,
+    interruption: Interruption,
+    tell: Callable[[str], None],
+    *,
+    without: bool,
+) -> None:
+    """Enable with the rest torque, fall silent, and see the drive stop by itself.
+
+    Raises PreflightRefused when it does not, or when the drive has no watchdog and `without` is not
+    set.
+    """
+    watchdog = drive.profile.watchdog
+    if watchdog.kind == "none":
+        if without:
+            tell("this drive has no watchdog: if this computer fails, nothing stops the axis")
+            return
+        raise PreflightRefused(
+            f"profile '{drive.profile.name}' has no drive-side watchdog, so a dead computer or "
+            "cable would leave the torque on; --without-watchdog takes that risk, with the "
+            "emergency stop in your hand"
+        )
+    tell(f"proof of the watchdog: silence for {3 * watchdog.timeout * 1000:.0f} ms")
+    with interruption.deferred():
+        try:
+            drive.enable(Mode.TORQUE, rest)
+            for _ in range(_PROOF_CYCLES):
+                drive.exchange(rest)
+            drive.wait(3 * watchdog.timeout)
+            energised = drive.is_energised()
+            if energised:  # a brake takes its time
+                drive.wait(drive.profile.stop_time)
+                energised = drive.is_energised()
+        except BaseException:
+            drive.stop(interruption.hurried)
+            raise
+        if energised:
+            drive.stop(interruption.hurried)
+            raise PreflightRefused(
+                f"the drive did not stop after {3 * watchdog.timeout * 1000:.0f} ms of silence: its "
+                f"watchdog ('{watchdog.parameter}') is not proved, so nothing is moved"
+            )
+        if drive.in_fault():
+            drive.reset_fault()
+    interruption.check()

@@ -1,0 +1,163 @@
+"""The result of a run as JSON (`tworelay.run/1`). Not measured is null, never 0."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from commissioning.compensation import Change
+from commissioning.identification.critical_point import (
+    CriticalPoint,
+    corrected,
+    hysteresis_only,
+    naive,
+)
+from commissioning.identification.limit_cycle import LimitCycle
+from commissioning.identification.two_relay import Estimate, FrictionEstimate
+from drivers.scaling import Scaling
+from profiles.axis import Axis
+from profiles.library import digest
+from profiles.schema import Identity, Profile
+
+__all__ = ["blank", "changes_json", "critical_points", "estimate_json", "friction_json"]
+
+SCHEMA = "tworelay.run/1"
+QUANTITIES = ("coulomb", "offset", "viscous", "inertia", "dead_time")
+
+
+def units(axis: Axis) -> dict[str, str]:
+    """ASCII units of the quantities of this axis."""
+    p, e = axis.position_unit, axis.effort_unit
+    return {
+        "position": p,
+        "effort": e,
+        "coulomb": e,
+        "offset": e,
+        "viscous": f"{e}.s/{p}",
+        "inertia": "kg.m2" if p == "rad" else "kg",
+        "dead_time": "s",
+        "gain": f"{p}/({e})" if p == "rad" else f"{p}/{e}",
+    }
+
+
+def blank(axis: Axis, link: str | None, profile: Profile | None, identity: Identity | None) -> Any:
+    """A result in which nothing is measured yet."""
+    names = units(axis)
+    return {
+        "schema": SCHEMA,
+        "status": "failed",
+        "run": None,
+        "axis": axis.name,
+        "link": link,
+        "profile": None
+        if profile is None
+        else {"name": profile.name, "version": profile.version, "hash": digest(profile)},
+        "identity": None if identity is None else identity.model_dump(),
+        "units": names,
+        "friction": {
+            "method": None,
+            **{key: estimate_json(None, names[key]) for key in QUANTITIES},
+        },
+        "methods": {},
+        "critical_point": None,
+        "tuning": [],
+        "compensation": [],
+        "experiment": None,
+        "quality": {"verdict": "rejected", "reasons": []},
+    }
+
+
+def estimate_json(
+    estimate: Estimate | None, unit: str, raw: float | None = None, raw_unit: str | None = None
+) -> dict[str, Any]:
+    """One quantity with its interval, in SI and as the drive counts."""
+    return {
+        "value": None if estimate is None else estimate.value,
+        "low": None if estimate is None else estimate.low,
+        "high": None if estimate is None else estimate.high,
+        "unit": unit,
+        "raw": raw,
+        "raw_unit": raw_unit,
+    }
+
+
+def friction_json(
+    method: str,
+    estimates: dict[str, Estimate | None],
+    axis: Axis,
+    profile: Profile,
+    scaling: Scaling,
+) -> dict[str, Any]:
+    """The `friction` object; torques also in the drive's own unit."""
+    names = units(axis)
+    parameter = profile.parameters["torque_target"]
+    found: dict[str, Any] = {"method": method}
+    for key in QUANTITIES:
+        estimate = estimates.get(key)
+        if key in ("coulomb", "offset") and estimate is not None:
+            raw = estimate.value / scaling.step(parameter)
+            found[key] = estimate_json(estimate, names[key], raw, scaling.raw_unit(parameter))
+        else:
+            found[key] = estimate_json(estimate, names[key])
+    return found
+
+
+def method_json(estimate: FrictionEstimate) -> dict[str, Any]:
+    """A harmonic-balance method: its complex friction and both tests."""
+    cycles = (estimate.first, estimate.second)
+    return {
+        "coulomb": estimate.coulomb.value,
+        "real": estimate.complex_coulomb.real,
+        "imaginary": estimate.complex_coulomb.imag,
+        "modulus": abs(estimate.complex_coulomb),
+        "half_swing": [c.half_swing for c in cycles],
+        "fundamental": [c.fundamental for c in cycles],
+        "period": [c.period for c in cycles],
+        "periods": [c.periods for c in cycles],
+        "relay_amplitude": [c.relay_amplitude for c in cycles],
+        "hysteresis": [c.hysteresis for c in cycles],
+        "bias": [c.bias for c in cycles],
+        "duty": [c.duty for c in cycles],
+        "settled": [c.settled for c in cycles],
+    }
+
+
+def critical_points(cycle: LimitCycle, complex_coulomb: complex) -> dict[str, Any]:
+    """Naive, hysteresis-only and corrected point at the relay's own frequency."""
+    return {
+        "naive": _point_json(naive(cycle)),
+        "hysteresis": _point_json(hysteresis_only(cycle)),
+        "corrected": _point_json(corrected(cycle, complex_coulomb)),
+        "measured": None,
+        "at_180": None,
+        "at_135": None,
+    }
+
+
+def _point_json(point: CriticalPoint) -> dict[str, Any]:
+    return {
+        "gain": point.gain,
+        "phase_deg": point.phase_deg,
+        "period": point.period,
+        "ku": point.ku,
+        "how": "computed",
+    }
+
+
+def changes_json(changes: Sequence[Change]) -> list[dict[str, Any]]:
+    """The proposal."""
+    return [
+        {
+            "parameter": c.parameter,
+            "old": c.old,
+            "new": c.new,
+            "unit": c.unit,
+            "rounded_by": c.rounded_by,
+            "old_raw": c.old_raw,
+            "new_raw": c.new_raw,
+            "raw_unit": c.raw_unit,
+            "why": c.why,
+            "written": False,
+        }
+        for c in changes
+    ]

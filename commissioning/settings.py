@@ -1,0 +1,102 @@
+"""Parameters of the drive that are written: journalled before, read back after, put back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from commissioning.journal import Intent, Journal, Kind
+from drivers.drive import Drive
+from profiles.errors import LinkError, TwoRelayError
+
+__all__ = ["Restored", "Settings", "put_back"]
+
+
+@dataclass
+class Restored:
+    """What a restore reached: parameter names, and why one failed or was left alone."""
+
+    restored: list[str] = field(default_factory=list)
+    already: list[str] = field(default_factory=list)
+    skipped: dict[str, str] = field(default_factory=dict)
+    failed: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every parameter has its old value."""
+        return not self.failed and not self.skipped
+
+    def __str__(self) -> str:
+        parts = []
+        if self.restored:
+            parts.append("restored " + ", ".join(self.restored))
+        if self.already:
+            parts.append("already as before " + ", ".join(self.already))
+        for what, found in (("skipped", self.skipped), ("failed", self.failed)):
+            parts += [f"{what} {name} ({why})" for name, why in found.items()]
+        return "; ".join(parts) if parts else "nothing to restore"
+
+
+class Settings:
+    """Writes to one drive in one run."""
+
+    def __init__(self, journal: Journal, run: str, drive: Drive) -> None:
+        self._journal = journal
+        self._run = run
+        self._drive = drive
+
+    def write(self, kind: Kind, parameter: str, new: int) -> bool:
+        """Write a raw value: intent, write, read back, done. False: it had that value already."""
+        old = self._drive.read_raw(parameter)
+        if old == new:
+            return False
+        intent = self._journal.intend(self._run, kind, parameter, old, new)
+        self._drive.write_raw(parameter, new)
+        self._journal.settle(intent, "verified")
+        return True
+
+    def restore(self) -> Restored:
+        """Put back everything that was set for the experiment; never raises on the way."""
+        intents = [
+            i for i in self._journal.intents(self._run, open_only=True) if i.kind == "experiment"
+        ]
+        return put_back(self._drive, self._journal, intents, force=True)
+
+
+def put_back(
+    drive: Drive, journal: Journal, intents: list[Intent], *, force: bool = False
+) -> Restored:
+    """Undo `intents`, last first, each parameter to its oldest value.
+
+    A value that is neither the old nor ours is somebody else's work: skipped, unless `force`.
+    """
+    outcome = Restored()
+    oldest = {intent.parameter: intent.old for intent in reversed(intents)}
+    ours = {name: {i.new for i in intents if i.parameter == name} for name in oldest}
+    dead: str | None = None
+    for name in dict.fromkeys(intent.parameter for intent in reversed(intents)):
+        if dead is not None:
+            outcome.failed[name] = dead
+            continue
+        old = oldest[name]
+        try:
+            there = drive.read_raw(name)
+            if there == old:
+                outcome.already.append(name)
+            elif there not in ours[name] and not force:
+                outcome.skipped[name] = (
+                    f"it reads {there}, neither the old {old} nor what was written: somebody "
+                    "changed it since; --force overwrites it"
+                )
+                continue
+            else:
+                drive.write_raw(name, old)
+                outcome.restored.append(name)
+        except TwoRelayError as error:
+            outcome.failed[name] = str(error)
+            if isinstance(error, LinkError):
+                dead = "the link is gone"
+            continue
+        for intent in intents:
+            if intent.parameter == name:
+                journal.settle(intent.seq, "restored")
+    return outcome

@@ -1,0 +1,93 @@
+"""The command line. Each command lives in a module of its own, imported when it is called."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+import click
+
+__all__ = ["main"]
+
+# name: (module, help line); help lines stand here so that --help imports no command
+_COMMANDS: dict[str, tuple[str, str]] = {
+    "demo": ("demo", "The whole job on a virtual drive served over Modbus TCP, with a report."),
+    "identify": ("identify", "Measure the friction of an axis; change nothing for good."),
+    "apply": ("apply", "Write what a run proposed, read it back, store it."),
+    "commission": ("commission", "Identify, apply, report."),
+    "restore": ("restore", "Put parameters back; finish what a crash interrupted."),
+    "stop": ("stop", "Make safe what a dead process left energised."),
+    "report": ("report", "Write the HTML report of a run."),
+    "export": ("export", "Copy a run with its samples and journal to a folder."),
+    "profile": ("profile", "List, show and check drive profiles."),
+    "virtual": ("virtual", "List virtual axes and serve them to other programs."),
+}
+
+
+class _LazyGroup(click.Group):
+    """Commands by name; the module is imported when the command is needed."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _COMMANDS:
+            return None
+        module, _ = _COMMANDS[cmd_name]
+        command: click.Command = import_module(f"commissioning.cli.{module}").command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, line) for name, (_, line) in _COMMANDS.items()])
+
+
+@click.group(cls=_LazyGroup, context_settings={"auto_envvar_prefix": "TWORELAY", "max_content_width": 100})
+@click.version_option(package_name="tworelay")
+def cli() -> None:
+    """Commission servo drives over Modbus and CANopen: find friction, compensate it, prove it.
+
+    TARGET is a link (virtual://bench, modbus-tcp://HOST:PORT?unit=1,
+    canopen://socketcan/can0?node=5) or an axis file (press-7-x.toml). RUN is an id as printed,
+    'last', or the folder of an exported run. Start with: tworelay demo
+    """
+
+
+def main() -> None:
+    """Entry point: one plain line for every error, and its documented exit code."""
+    try:
+        cli.main(standalone_mode=False)
+    except click.exceptions.Exit as stop:
+        sys.exit(stop.exit_code)
+    except click.exceptions.Abort:
+        click.echo("tworelay: interrupted", err=True)
+        sys.exit(130)
+    except click.ClickException as error:
+        # click's own wording, on one line
+        message = " ".join(error.format_message().split())
+        where = getattr(error, "ctx", None)
+        hint = f" Try '{where.command_path} --help'." if where is not None else ""
+        click.echo(f"tworelay: {message}{hint}", err=True)
+        sys.exit(2)
+    except BrokenPipeError:
+        sys.exit(141)
+    except Exception as error:
+        sys.exit(_report_failure(error))
+
+
+def _report_failure(error: Exception) -> int:
+    from profiles.errors import TwoRelayError
+
+    if isinstance(error, TwoRelayError):
+        click.echo(f"tworelay: {error}", err=True)
+        return error.exit_code
+    if "-v" in sys.argv or "--verbose" in sys.argv:
+        import traceback
+
+        traceback.print_exc()
+    click.echo(
+        f"tworelay: internal error ({type(error).__name__}: {error}); this is a bug: please report "
+        "it with the output of the same command with -v",
+        err=True,
+    )
+    return 1

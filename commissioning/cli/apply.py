@@ -1,0 +1,34 @@
+"""tworelay apply RUN."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from commissioning.cli.terminal import Screen, at_desk, write_json
+
+__all__ = ["command", "write"]
+
+
+@click.command("apply")
+@click.argument("run")
+@click.option("--link", help="Reach the drive by this LINK instead of the run's own.")
+@click.option("--yes", is_flag=True, help="Confirm in advance.")
+@click.option("--json", "json_target", metavar="F", help="Result as JSON to F, '-' for standard output.")
+@click.option("-v", "--verbose", is_flag=True, help="Traceback when there is a bug.")
+def command(run: str, link: str | None, yes: bool, json_target: str | None, verbose: bool) -> None:
+    """Write what RUN proposed, read it back, and store it in the drive."""
+    screen = Screen(json_target, yes=yes)
+    result = write(run, link, screen)
+    write_json(result, json_target)
+    screen.say(f"run {result['run']}: written. To take it back: tworelay restore {result['run']}")
+
+
+def write(run: str, link: str | None, screen: Screen) -> dict[str, Any]:
+    """Apply with the proposal shown."""
+    from commissioning.cli import show
+    from commissioning.session.apply import apply
+
+    with at_desk(screen) as desk:
+        return apply(run, link, desk, lambda items: show.proposal(items, screen))

@@ -1,0 +1,34 @@
+"""tworelay commission TARGET."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from commissioning.cli.terminal import Screen, job_options, write_json
+
+__all__ = ["command"]
+
+
+@click.command("commission")
+@click.argument("target")
+@job_options
+def command(target: str, **arguments: Any) -> None:
+    """Identify the axis at TARGET, apply the compensation, write the report."""
+    from commissioning.cli import show
+    from commissioning.cli.apply import write
+    from commissioning.cli.identify import measure
+    from commissioning.cli.report import write_report
+
+    screen = Screen(arguments["json_target"], yes=arguments["yes"])
+    result = measure(target, screen, arguments)
+    if not arguments["dry_run"]:
+        show.summary(result, screen)
+        if result["compensation"]:
+            result = write(result["run"], None, screen)
+        else:
+            screen.say("this drive has no friction compensation to write to")
+        screen.say(f"report {write_report(result['run'], None)}")
+        screen.say(f"run {result['run']}")
+    write_json(result, arguments["json_target"])

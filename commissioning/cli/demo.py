@@ -1,0 +1,65 @@
+"""tworelay demo: the whole job on a virtual drive in another process."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Any
+
+import click
+
+from commissioning.cli.terminal import Screen
+
+__all__ = ["command"]
+
+AXIS = "bench"
+
+
+@click.command("demo")
+@click.option("--clock", type=click.Choice(["step", "wall"]), default="step", show_default=True,
+              help="Simulated time as fast as it goes, or real time.")  # fmt: skip
+@click.option("-v", "--verbose", is_flag=True, help="Traceback when there is a bug.")
+def command(clock: str, verbose: bool) -> None:
+    """Serve the virtual axis 'bench' over Modbus TCP and commission it as a technician would."""
+    from commissioning.cli import show
+    from commissioning.cli.apply import write
+    from commissioning.cli.identify import command as identify
+    from commissioning.cli.identify import measure
+    from commissioning.cli.report import write_report
+    from drivers.virtual.axes import AXES
+
+    screen = Screen(None, yes=True)
+    serving = [sys.executable, "-m", "commissioning", "virtual", "serve", AXIS]
+    serving += ["--modbus-tcp", "127.0.0.1:0", "--clock", clock]
+    with subprocess.Popen(serving, stdout=subprocess.PIPE, text=True) as server:  # noqa: S603
+        try:
+            link = server.stdout.readline().strip() if server.stdout else ""
+            if not link:
+                raise RuntimeError("the virtual drive did not start")
+            truth = AXES[AXIS]
+            screen.say(f"virtual drive '{AXIS}' serves {link}")
+            arguments = [link, "--travel", "±3.14", "--yes"]
+            screen.say("\n$ tworelay identify " + " ".join(arguments))
+            result = measure(link, screen, identify.make_context("identify", arguments).params)
+            show.summary(result, screen)
+            _against_truth(result, truth, screen)
+            screen.say(f"\n$ tworelay apply {result['run']} --yes")
+            result = write(result["run"], None, screen)
+            report = write_report(result["run"], None)
+        finally:
+            server.terminate()
+    screen.say(f"\nrun {result['run']}; to take it back: tworelay restore {result['run']}")
+    screen.say(f"report {report}")
+
+
+def _against_truth(result: dict[str, Any], truth: Any, screen: Screen) -> None:
+    friction = result["friction"]
+    f, offset = friction["coulomb"]["value"], friction["offset"]["value"]
+    unit = friction["coulomb"]["unit"]
+    rows = [
+        ["Coulomb friction", f"{f:.4g} {unit}", f"{truth.coulomb:.4g} {unit}",
+         f"{100 * (f / truth.coulomb - 1):+.1f} %"],
+        ["offset", f"{offset:.4g} {unit}", f"{truth.load:.4g} {unit}",
+         f"{offset - truth.load:+.2g} {unit}"],
+    ]  # fmt: skip
+    screen.table("found against true", ["", "found", "true", "error"], rows)

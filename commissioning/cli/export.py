@@ -1,0 +1,28 @@
+"""tworelay export RUN DIR."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+__all__ = ["command"]
+
+
+@click.command("export")
+@click.argument("run")
+@click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
+@click.option("-v", "--verbose", is_flag=True, help="Traceback when there is a bug.")
+def command(run: str, folder: Path, verbose: bool) -> None:
+    """Copy RUN to FOLDER: result, samples (also as CSV), profile, journal.
+
+    The folder is a RUN itself, on this machine or another.
+    """
+    from commissioning.journal import Journal
+    from commissioning.runs import resolve
+    from drivers.home import home
+
+    with Journal(home()) as journal:
+        run_id, source = resolve(journal, run)
+        for path in source.export(journal, run_id, folder):
+            click.echo(str(path))

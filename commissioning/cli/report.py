@@ -1,0 +1,39 @@
+"""tworelay report RUN."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from profiles.errors import UsageError
+
+__all__ = ["command", "write_report"]
+
+
+@click.command("report")
+@click.argument("run")
+@click.option("--output", metavar="F", help="HTML file; default: in the run's folder.")
+@click.option("-v", "--verbose", is_flag=True, help="Traceback when there is a bug.")
+def command(run: str, output: str | None, verbose: bool) -> None:
+    """Write the report of RUN as one self-contained HTML file, and name it."""
+    click.echo(str(write_report(run, output)))
+
+
+def write_report(run: str, output: str | None) -> Path:
+    """Render and write; returns the file."""
+    from commissioning.journal import Journal
+    from commissioning.report.html import render
+    from commissioning.runs import resolve
+    from drivers.home import home
+
+    with Journal(home()) as journal:
+        run_id, folder = resolve(journal, run)
+        events = journal.export(run_id)
+    target = Path(output) if output else folder.path / "report.html"
+    text = render(folder.result(), folder.samples(), events)
+    try:
+        target.write_text(text, "utf-8")
+    except OSError as error:
+        raise UsageError(f"report {target}: cannot be written: {error.strerror}") from None
+    return target

@@ -1,0 +1,74 @@
+"""Results in words and tables."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from commissioning.cli.terminal import Screen
+
+__all__ = ["proposal", "summary"]
+
+_NAMES = {
+    "coulomb": "Coulomb friction f",
+    "offset": "offset (load, asymmetry)",
+    "viscous": "viscous friction B",
+    "inertia": "inertia J",
+    "dead_time": "dead time",
+}
+
+
+def number(value: float | None, unit: str = "") -> str:
+    """A number with its unit, or a dash."""
+    return "–" if value is None else f"{value:.4g} {unit}".rstrip()
+
+
+def summary(result: dict[str, Any], screen: Screen) -> None:
+    """What was found."""
+    friction = result["friction"]
+    rows = []
+    for key, name in _NAMES.items():
+        item = friction[key]
+        if item["value"] is None:
+            continue
+        raw = "" if item["raw"] is None else f"{item['raw']:.1f} × {item['raw_unit']}"
+        interval = f"{item['low']:.4g} … {item['high']:.4g}"
+        rows.append([name, number(item["value"], item["unit"]), interval, raw])
+    screen.table(f"found by {friction['method']}", ["", "value", "interval", "drive's unit"], rows)
+    points = result["critical_point"]
+    if points:
+        unit = result["units"]["gain"]
+        rows = [
+            [label, number(points[key]["gain"], unit), f"{points[key]['phase_deg']:.1f}°"]
+            for key, label in (
+                ("naive", "naive: what a relay autotuner concludes"),
+                ("hysteresis", "with the relay's hysteresis"),
+                ("corrected", "with hysteresis and friction"),
+            )
+        ]
+        period = points["corrected"]["period"] * 1000
+        screen.table(f"the plant at the relay's own period of {period:.4g} ms", ["", "gain", "phase"], rows)
+    quality, experiment = result["quality"], result["experiment"]
+    screen.say(
+        f"{quality['verdict']}: {experiment['periods']} periods, {experiment['duration']:.1f} s, "
+        f"{experiment['travel']:.3g} {result['units']['position']} of travel used"
+    )
+    for reason in quality["reasons"]:
+        screen.say(f"  {reason}")
+
+
+def proposal(items: list[dict[str, Any]], screen: Screen) -> None:
+    """What would be written."""
+    rows = [
+        [
+            item["parameter"],
+            f"{item['old']:.4g}",
+            f"{item['new']:.4g}",
+            item["unit"],
+            f"{item['old_raw']} → {item['new_raw']}",
+            f"{item['rounded_by']:+.2g}",
+            item["why"],
+        ]
+        for item in items
+    ]
+    columns = ["parameter", "old", "new", "unit", "raw", "rounded by", "why"]
+    screen.table("proposal", columns, rows)

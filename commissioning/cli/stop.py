@@ -1,0 +1,22 @@
+"""tworelay stop TARGET."""
+
+from __future__ import annotations
+
+import click
+
+from commissioning.cli.terminal import Screen, at_desk, axis_from
+
+__all__ = ["command"]
+
+
+@click.command("stop")
+@click.argument("target")
+@click.option("--profile", metavar="P", help="Drive profile: a built-in name or a file.")
+@click.option("-v", "--verbose", is_flag=True, help="Traceback when there is a bug.")
+def command(target: str, profile: str | None, verbose: bool) -> None:
+    """Stop and de-energise the axis at TARGET, whoever enabled it."""
+    from commissioning.session.apply import stop
+
+    screen = Screen(None, yes=True)
+    with at_desk(screen) as desk:
+        screen.say(str(stop(axis_from(target, profile), desk)))

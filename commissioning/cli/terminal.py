@@ -1,0 +1,199 @@
+"""What commands share: the conversation with the user, and the options of a job."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from collections.abc import Callable, Generator
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+import click
+
+from commissioning.interruption import Interruption
+from commissioning.journal import Journal
+from commissioning.session.desk import Desk, Options
+from drivers.home import home
+from drivers.link import axis_of
+from profiles.axis import Axis, load_axis
+from profiles.errors import Refused, UsageError
+
+__all__ = ["Screen", "at_desk", "axis_from", "job_options", "options_from", "write_json"]
+
+
+class Screen:
+    """Where people read: standard output, or standard error when JSON takes the former."""
+
+    def __init__(self, json_target: str | None, *, yes: bool) -> None:
+        self.to_stderr = json_target == "-"
+        self.yes = yes
+        self._progress: Any = None
+
+    def say(self, text: str = "") -> None:
+        """One line."""
+        if self._progress is not None:
+            self._progress.console.print(text, highlight=False, markup=False, soft_wrap=True)
+        else:
+            click.echo(text, err=self.to_stderr)
+
+    def console(self) -> Any:
+        """A rich console on the same stream."""
+        from rich.console import Console
+
+        return Console(stderr=self.to_stderr, highlight=False, soft_wrap=False)
+
+    def confirm(self, question: str, word: str) -> bool:
+        """Ask for `word` to be typed; raises Refused without a terminal."""
+        self.say(question)
+        if self.yes:
+            return True
+        if not sys.stdin.isatty():
+            raise Refused("this needs a confirmation and there is no terminal: give --yes")
+        with self.paused():
+            answer: str = click.prompt(
+                f"Type {word} to go on", default="", show_default=False, err=self.to_stderr
+            )
+        return answer.strip() == word
+
+    @contextlib.contextmanager
+    def working(self, text: str) -> Generator[None]:
+        """Show that something goes on, and for how long, where there is a terminal."""
+        console = self.console()
+        if not console.is_terminal:
+            yield
+            return
+        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+        with Progress(*columns, console=console, refresh_per_second=4, transient=True) as progress:
+            progress.add_task(text)
+            self._progress = progress
+            try:
+                yield
+            finally:
+                self._progress = None
+
+    @contextlib.contextmanager
+    def paused(self) -> Generator[None]:
+        """Without the moving line, for a question."""
+        progress = self._progress
+        if progress is None:
+            yield
+            return
+        progress.stop()
+        self._progress = None
+        try:
+            yield
+        finally:
+            self._progress = progress
+            progress.start()
+
+    def table(self, title: str, columns: list[str], rows: list[list[str]]) -> None:
+        """A table."""
+        from rich.table import Table
+
+        table = Table(title=title, title_justify="left", title_style="bold")
+        for n, column in enumerate(columns):
+            table.add_column(column, justify="left" if n == 0 else "right")
+        for row in rows:
+            table.add_row(*row)
+        self.console().print(table, markup=False)
+
+
+@contextlib.contextmanager
+def at_desk(screen: Screen, trace: Callable[..., None] | None = None) -> Generator[Desk]:
+    """Journal open, signals caught."""
+    with Journal(home()) as journal, Interruption() as interruption:
+        yield Desk(journal, interruption, screen.say, screen.confirm, trace)
+
+
+def axis_from(target: str, profile: str | None) -> Axis:
+    """TARGET, a LINK or an axis file, as an axis."""
+    if "://" in target:
+        axis = axis_of(target)
+    elif target.endswith(".toml") or Path(target).exists():
+        axis = load_axis(Path(target))
+        if axis.link is None:
+            raise UsageError(f"{target}: has no link; add link = \"modbus-tcp://…\"")
+    else:
+        raise UsageError(
+            f"'{target}' is no link and no axis file; a link begins with virtual://, modbus-tcp:// "
+            "or canopen://"
+        )
+    return axis.model_copy(update={"profile": profile}) if profile else axis
+
+
+_JOB_OPTIONS = [
+    click.option("--profile", metavar="P", help="Drive profile: a built-in name or a file."),
+    click.option("--travel", metavar="±X", help="Room about the present position, rad or m."),
+    click.option("--max-torque", type=click.FloatRange(0, min_open=True), help="N.m or N."),
+    click.option("--max-speed", type=click.FloatRange(0, min_open=True), help="rad/s or m/s."),
+    click.option("--duration", type=click.FloatRange(0, min_open=True), help="s, at most."),
+    click.option(
+        "--fraction", type=click.FloatRange(0, 1), default=0.85, show_default=True,
+        help="Share of the friction to compensate; the offset is compensated whole.",
+    ),
+    click.option("--method", type=click.Choice(["two-relay"]), default="two-relay", show_default=True),
+    click.option(
+        "--solver", type=click.Choice(["bracket", "thesis"]), default="bracket", show_default=True,
+        help="Search for equal periods: bracketing secant, or rule (4.21) of the thesis.",
+    ),
+    click.option("--cycle", type=click.FloatRange(0.0002, 0.5), help="s, of the exchange."),
+    click.option(
+        "--without-watchdog", is_flag=True,
+        help="Move a drive that would not notice a dead link. Emergency stop in hand.",
+    ),
+    click.option("--dry-run", is_flag=True, help="Show every write; write and move nothing."),
+    click.option("--yes", is_flag=True, help="Confirm in advance."),
+    click.option("--json", "json_target", metavar="F", help="Result as JSON to F, '-' for standard output."),
+    click.option("--trace", metavar="F", help="Every frame to F: candump text, or pcap of Modbus."),
+    click.option("-v", "--verbose", is_flag=True, help="Traceback when there is a bug."),
+]  # fmt: skip
+
+
+def job_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Options of identify and commission."""
+    for option in reversed(_JOB_OPTIONS):
+        function = option(function)
+
+    @wraps(function)
+    def wrapped(*args: Any, **kwargs: Any) -> Any:
+        return function(*args, **kwargs)
+
+    return wrapped
+
+
+def options_from(arguments: dict[str, Any]) -> Options:
+    """The job's options; raises UsageError."""
+    travel = arguments["travel"]
+    if travel is not None:
+        try:
+            travel = float(travel.lstrip("±+"))
+        except ValueError:
+            travel = -1.0
+        if not 0 < travel < float("inf"):
+            raise UsageError(
+                f"--travel {arguments['travel']}: must be a positive number of rad or m, as in "
+                "--travel ±0.5"
+            )
+    names = (
+        "max_torque", "max_speed", "duration", "fraction", "method", "solver", "cycle",
+        "without_watchdog", "dry_run",
+    )  # fmt: skip
+    return Options(travel=travel, **{name: arguments[name] for name in names})
+
+
+def write_json(result: dict[str, Any], target: str | None) -> None:
+    """Result as JSON to a file or standard output; raises UsageError."""
+    if target is None:
+        return
+    text = json.dumps(result, indent=1, allow_nan=False)
+    if target == "-":
+        click.echo(text)
+        return
+    try:
+        Path(target).write_text(text + "\n", "utf-8")
+    except OSError as error:
+        raise UsageError(f"--json {target}: cannot be written: {error.strerror}") from None

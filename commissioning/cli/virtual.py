@@ -1,0 +1,90 @@
+"""tworelay virtual list | serve AXIS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import click
+
+from profiles.errors import UsageError
+
+__all__ = ["command"]
+
+
+@click.group("virtual")
+def command() -> None:
+    """Virtual drives: to learn on, to rehearse on, and for CI."""
+
+
+@command.command("list")
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+def list_axes(as_json: bool) -> None:
+    """The virtual axes and their figures."""
+    from dataclasses import asdict
+
+    from drivers.virtual.axes import AXES
+
+    if as_json:
+        import json
+
+        click.echo(json.dumps([asdict(axis) for axis in AXES.values()], indent=1))
+        return
+    for axis in AXES.values():
+        rotary = axis.motion == "rotary"
+        j, b, e, p = (
+            ("kg.m2", "N.m.s/rad", "N.m", "rad") if rotary else ("kg", "N.s/m", "N", "m")
+        )
+        click.echo(f"{axis.name:<13} {axis.title}")
+        click.echo(
+            f"{'':<13} inertia {axis.inertia:g} {j}, viscous {axis.viscous:g} {b}, Coulomb "
+            f"{axis.coulomb:g} {e}, load {axis.load:g} {e}, rated {axis.rated:g} {e}, travel "
+            f"±{axis.travel:.4g} {p}{', holding brake' if axis.brake else ''}"
+        )
+
+
+@command.command("serve")
+@click.argument("axis")
+@click.option("--set", "changes", multiple=True, metavar="K=V", help="Option of the axis, as in a virtual:// link.")
+@click.option("--modbus-tcp", metavar="HOST:PORT", help="Modbus TCP; port 0 is any free one.")
+@click.option("--socketcand", metavar="HOST:PORT", help="CANopen by the socketcand protocol.")
+@click.option("--slcan", type=click.Choice(["pty"]), help="CANopen by slcan on a pseudo-terminal.")
+@click.option("--clock", type=click.Choice(["wall", "step"]), default="wall", show_default=True)
+@click.option("--state", type=click.Path(dir_okay=False, path_type=Path), help="File of its non-volatile memory.")
+@click.option("-v", "--verbose", is_flag=True, help="Traceback when there is a bug.")
+def serve_axis(
+    axis: str,
+    changes: tuple[str, ...],
+    modbus_tcp: str | None,
+    socketcand: str | None,
+    slcan: str | None,
+    clock: Literal["wall", "step"],
+    state: Path | None,
+    verbose: bool,
+) -> None:
+    """Serve the virtual AXIS until Ctrl-C; prints one ready LINK a line."""
+    from drivers.link import parse, state_file
+    from drivers.virtual.axes import configured
+    from drivers.virtual.memory import Memory
+    from drivers.virtual.serve import Endpoints, serve
+
+    query = "&".join(changes)
+    link = parse(f"virtual://{axis}" + (f"{'&' if '?' in axis else '?'}{query}" if query else ""))
+    options = {key: value for key, value in link.options.items() if key != "state"}
+    endpoints = Endpoints(_place(modbus_tcp), _place(socketcand), slcan == "pty")
+    if endpoints == Endpoints():
+        raise UsageError("serve where? Give --modbus-tcp HOST:PORT, --socketcand HOST:PORT or --slcan pty")
+    serve(
+        configured(link.place, options), Memory(state or state_file(link)), endpoints, clock,
+        lambda ready: click.echo(ready),
+    )  # fmt: skip
+
+
+def _place(text: str | None) -> tuple[str, int] | None:
+    """HOST:PORT, or PORT for loopback."""
+    if text is None:
+        return None
+    host, _, port = text.rpartition(":")
+    if not port.isdigit() or int(port) > 65535:
+        raise UsageError(f"'{text}': must be HOST:PORT, with port 0…65535")
+    return (host.strip("[]") or "127.0.0.1", int(port))

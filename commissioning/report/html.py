@@ -1,0 +1,47 @@
+"""The report of a run: one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+import time
+from importlib.resources import files
+from typing import Any
+
+from commissioning.runs import Samples
+
+__all__ = ["render"]
+
+
+def render(result: dict[str, Any], samples: Samples | None, journal: dict[str, Any]) -> str:
+    """HTML text of the report; everything in it that is not ours is escaped."""
+    import jinja2
+    import markupsafe
+
+    from commissioning.report import figures
+
+    pictures: dict[str, markupsafe.Markup] = {}
+    stages: list[tuple[float, str]] = []
+    if samples is not None and len(samples) > 1:
+        pictures["overview"] = markupsafe.Markup(figures.overview(samples, result["units"]))  # noqa: S704
+        stages = figures.stages(samples)
+        if "two-relay" in result["methods"]:
+            pictures["tests"] = markupsafe.Markup(figures.tests_over_time(samples, result))  # noqa: S704
+            pictures["phase_plane"] = markupsafe.Markup(figures.phase_plane(samples, result))  # noqa: S704
+            pictures["nyquist"] = markupsafe.Markup(figures.nyquist(result))  # noqa: S704
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["si"] = _si
+    template = environment.from_string(
+        (files("commissioning.report") / "report.html.j2").read_text("utf-8")
+    )
+    created = time.strftime("%Y-%m-%d %H:%M", time.localtime(journal["run"]["created"]))
+    return template.render(
+        r=result, pictures=pictures, stages=stages, journal=journal, created=created
+    )
+
+
+def _si(value: float | None, unit: str = "") -> str:
+    """Four digits and the unit, or a dash."""
+    if value is None:
+        return "–"
+    return f"{value:.4g} {unit.replace('.', '·').replace('kg·m2', 'kg·m²')}".strip()

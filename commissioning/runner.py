@@ -34,7 +34,7 @@ class Recorder:
 
     samples: list[Sample] = field(default_factory=list)
     phases: list[tuple[int, str]] = field(default_factory=list)
-    on_phase: Callable[[str], None] = lambda text: None  # noqa: E731
+    on_phase: Callable[[str], None] = lambda text: None
 
     def phase(self, text: str) -> None:
         """From the next sample on, `text` happens."""

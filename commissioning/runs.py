@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from commissioning.journal import Journal
 from commissioning.runner import Recorder
+from drivers.sample import Sample
 from profiles.errors import JournalError, UnknownName, UsageError
 
 __all__ = ["RunFolder", "Samples", "resolve"]
@@ -43,14 +44,15 @@ class Samples:
     @classmethod
     def of(cls, recorder: Recorder) -> Samples:
         """Columns of what was recorded."""
-        rows = np.array(
-            [(s[0], s[1], s[2], s[3], s[4], s[6], s[7]) for s in recorder.samples], float
-        ).reshape(-1, len(_COLUMNS))
-        if len(rows):
-            begin = rows[0, 4]
-            rows[:, 0] -= begin
-            rows[:, 4] -= begin
-        return cls(dict(zip(_COLUMNS, rows.T, strict=True)), list(recorder.phases))
+        fields = list(zip(*recorder.samples, strict=True)) or [()] * len(Sample._fields)
+        columns = {
+            name: np.array(fields[Sample._fields.index(name)], float) for name in _COLUMNS
+        }
+        if recorder.samples:
+            begin = recorder.samples[0].sent
+            columns["time"] -= begin
+            columns["sent"] -= begin
+        return cls(columns, list(recorder.phases))
 
 
 class RunFolder:

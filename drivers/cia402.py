@@ -9,7 +9,15 @@ from functools import lru_cache
 
 from drivers.sample import Status
 
-__all__ = ["DISABLE_VOLTAGE", "ENABLE", "FAULT_RESET", "STATES", "next_controlword", "state", "status"]
+__all__ = [
+    "DISABLE_VOLTAGE",
+    "ENABLE",
+    "FAULT_RESET",
+    "STATES",
+    "next_controlword",
+    "state",
+    "status",
+]
 
 # name: (mask, value) of the statusword, CiA 402 table "state coding"
 STATES: dict[str, tuple[int, int]] = {

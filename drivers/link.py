@@ -55,7 +55,9 @@ def parse(text: str) -> Link:
         raise UsageError(f"'{text}' is no link and no axis file; a link begins with {known}")
     place = text.split("://", 1)[1].split("?", 1)[0]
     try:
-        options = dict(parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query)))
+        options = dict(
+            parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
+        )
     except ValueError:
         raise UsageError(f"'{text}': options are written ?key=value&key=value") from None
     return Link(text, parts.scheme, place, options)
@@ -213,7 +215,9 @@ def _open_canopen(
 def _only(link: Link, known: set[str]) -> None:
     for key in link.options:
         if key not in known:
-            raise UsageError(f"{link.text}: no option '{key}'; there are: {', '.join(sorted(known))}")
+            raise UsageError(
+                f"{link.text}: no option '{key}'; there are: {', '.join(sorted(known))}"
+            )
     if link.options.get("clock", "wall") not in ("wall", "step"):
         raise UsageError(f"{link.text}: clock is wall or step")
 
@@ -243,6 +247,10 @@ def _agree(identity: Identity, bus: str, named: Profile | None) -> Profile:
         raise IdentityMismatch(
             f"the drive is {identity}, but profile '{named.name}' is for vendor "
             f"{named.identity.vendor or 'any'}, product {named.identity.product or 'any'}"
-            + (f", revision {' or '.join(named.identity.revisions)}" if named.identity.revisions else "")
+            + (
+                f", revision {' or '.join(named.identity.revisions)}"
+                if named.identity.revisions
+                else ""
+            )
         )
     return named

@@ -12,7 +12,6 @@ from drivers.scaling import Scaling
 from profiles.axis import Axis
 from profiles.errors import (
     DriveFault,
-    LinkError,
     PreflightRefused,
     TwoRelayError,
     UnknownName,
@@ -112,10 +111,7 @@ class ProfiledDrive:
                 f"'{name}' has protection '{parameter.protection}' in profile "
                 f"'{self.profile.name}': it is not written"
             )
-        if (
-            parameter.protection is Protection.COMPENSATION
-            and parameter.trust is Trust.UNVERIFIED
-        ):
+        if parameter.protection is Protection.COMPENSATION and parameter.trust is Trust.UNVERIFIED:
             raise WriteFailed(
                 f"'{name}' ({parameter.address}) is unverified in profile '{self.profile.name}': "
                 "it is not written; check the drive's manual and mark it in the profile"
@@ -308,9 +304,8 @@ class ProfiledDrive:
         )
 
     def _frame(self, raw: int) -> tuple[int, ...]:
-        frame = self._idle.copy()
-        frame[self._at_set_point] = raw
-        return tuple(frame)
+        self._idle[self._at_set_point] = raw
+        return tuple(self._idle)
 
     def wait(self, seconds: float) -> None:
         """Let time pass without a command."""
@@ -377,7 +372,9 @@ class ProfiledDrive:
                 continue
             name = step.until or ""
             waited = 0.0
-            while (there := self._bus.read(self._parameter(name).address)) & step.mask != step.equals:
+            while (
+                there := self._bus.read(self._parameter(name).address)
+            ) & step.mask != step.equals:
                 if waited >= step.within:
                     raise WriteFailed(
                         f"{what}: '{name}' reads {there} for {step.within:g} s instead of "

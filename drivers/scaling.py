@@ -79,8 +79,10 @@ class Scaling:
 
     def raw_unit(self, parameter: Parameter) -> str:
         """What the drive counts in, for people: '0.001 rated', 'increment'."""
-        return parameter.unit.value if parameter.scale == 1 else (
-            f"{parameter.scale:g} {parameter.unit.value}"
+        return (
+            parameter.unit.value
+            if parameter.scale == 1
+            else (f"{parameter.scale:g} {parameter.unit.value}")
         )
 
     def _unit(self, unit: Unit) -> float:

@@ -5,7 +5,7 @@
     │   ├── ProfileError               2   unknown key in a profile, range upside down
     │   └── UnknownName                2   a profile, axis, run or parameter that does not exist
     ├── Refused                        3   confirmation declined, travel too small
-    │   ├── IdentityMismatch           3   the profile is for another drive, or it is another drive than in the run
+    │   ├── IdentityMismatch           3   another drive than the profile is for, or than in the run
     │   └── PreflightRefused           3   fault present, limit not accepted, watchdog not proved
     ├── LinkError                      4   unreachable, silent, speaks something else
     │   └── LinkLost                   4   was there, and is gone

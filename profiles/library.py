@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from profiles.errors import IdentityMismatch, UnknownName
-from profiles.schema import Identity, Profile
+from profiles.schema import Identity, ModbusAddress, Profile
 from profiles.toml_files import load_model, parse_model
 
 __all__ = ["builtin_names", "digest", "fitting", "load_profile", "source_text"]
@@ -92,7 +92,7 @@ def check(profile: Profile) -> list[Finding]:
     seen: dict[tuple[int, int], str] = {}
     for name, parameter in profile.parameters.items():
         address = parameter.address
-        if hasattr(address, "register_"):
+        if isinstance(address, ModbusAddress):
             cells = [(address.register_ + k, 0) for k in range(address.count)]
         else:
             cells = [(address.index, address.sub)]
@@ -102,17 +102,19 @@ def check(profile: Profile) -> list[Finding]:
                     Finding("error", f"[parameters.{name}] overlaps '{seen[cell]}' at {address}")
                 )
             seen[cell] = name
-    for name in profile.compensation.terms.values():
-        if profile.parameters[name].trust == "unverified":
-            found.append(
-                Finding("warning", f"[parameters.{name}] is written by apply but unverified")
-            )
+    found += [
+        Finding("warning", f"[parameters.{name}] is written by apply but unverified")
+        for name in profile.compensation.terms.values()
+        if profile.parameters[name].trust == "unverified"
+    ]
     if profile.compensation.law != "none":
         if not profile.compensation.acts_in:
             found.append(Finding("error", "[compensation] acts in no mode"))
         elif set(profile.compensation.acts_in) == {"torque"}:
             found.append(
-                Finding("error", "[compensation] acts in torque mode only, where nothing is positioned")
+                Finding(
+                    "error", "[compensation] acts in torque mode only, where nothing is positioned"
+                )
             )
         if profile.store is None:
             found.append(

@@ -20,8 +20,8 @@ __all__ = [
     "Identity",
     "IdentityMatch",
     "LinkDefaults",
-    "Mode",
     "ModbusAddress",
+    "Mode",
     "Parameter",
     "Profile",
     "Step",
@@ -127,9 +127,7 @@ class Parameter(_Strict):
     `minimum` and `maximum` are raw, `forbidden` lists raw values that must never be written.
     """
 
-    address: Annotated[
-        CanopenAddress | ModbusAddress, Field(union_mode="left_to_right")
-    ]
+    address: Annotated[CanopenAddress | ModbusAddress, Field(union_mode="left_to_right")]
     title: str
     unit: Unit = Unit.NONE
     scale: float = 1.0
@@ -153,9 +151,13 @@ class Parameter(_Strict):
         if lo > hi:
             raise ValueError(f"range is upside down: minimum {lo}, maximum {hi}")
         if lo < low or hi > high:
-            raise ValueError(f"range {lo}…{hi} does not fit type {self.address.type} ({low:g}…{high:g})")
+            raise ValueError(
+                f"range {lo}…{hi} does not fit type {self.address.type} ({low:g}…{high:g})"
+            )
         if self.access is Access.READ_ONLY and self.protection is not Protection.READ:
-            raise ValueError(f"access 'ro' and protection '{self.protection}' contradict each other")
+            raise ValueError(
+                f"access 'ro' and protection '{self.protection}' contradict each other"
+            )
         return self
 
     @property
@@ -408,9 +410,13 @@ class Profile(_Strict):
         kind = CanopenAddress if self.bus == "canopen" else ModbusAddress
         for name, parameter in self.parameters.items():
             if not isinstance(parameter.address, kind):
-                raise ValueError(f"[parameters.{name}] has an address of another bus than '{self.bus}'")
+                raise ValueError(
+                    f"[parameters.{name}] has an address of another bus than '{self.bus}'"
+                )
         if (self.cycle.function == "pdo") != (self.bus == "canopen"):
-            raise ValueError(f"[cycle] function '{self.cycle.function}' does not fit bus '{self.bus}'")
+            raise ValueError(
+                f"[cycle] function '{self.cycle.function}' does not fit bus '{self.bus}'"
+            )
         if not self.modes.get(Mode.TORQUE):
             raise ValueError("[modes] lacks torque: without a torque command no relay test can run")
         for name in self.compensation.terms.values():

@@ -37,12 +37,18 @@ class _LazyGroup(click.Group):
         command: click.Command = import_module(f"commissioning.cli.{module}").command
         return command
 
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+    def format_commands(
+        self,
+        ctx: click.Context,
+        formatter: click.HelpFormatter,
+    ) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([(name, line) for name, (_, line) in _COMMANDS.items()])
 
 
-@click.group(cls=_LazyGroup, context_settings={"auto_envvar_prefix": "TWORELAY", "max_content_width": 100})
+@click.group(
+    cls=_LazyGroup, context_settings={"auto_envvar_prefix": "TWORELAY", "max_content_width": 100}
+)
 @click.version_option(package_name="tworelay")
 def cli() -> None:
     """Commission servo drives over Modbus and CANopen: find friction, compensate it, prove it.

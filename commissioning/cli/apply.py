@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Screen, at_desk, write_json
 
 __all__ = ["command", "write"]
@@ -15,9 +16,11 @@ __all__ = ["command", "write"]
 @click.argument("run")
 @click.option("--link", help="Reach the drive by this LINK instead of the run's own.")
 @click.option("--yes", is_flag=True, help="Confirm in advance.")
-@click.option("--json", "json_target", metavar="F", help="Result as JSON to F, '-' for standard output.")
-@click.option("-v", "--verbose", is_flag=True, help="Traceback when there is a bug.")
-def command(run: str, link: str | None, yes: bool, json_target: str | None, verbose: bool) -> None:
+@click.option(
+    "--json", "json_target", metavar="F", help="Result as JSON to F, '-' for standard output."
+)
+@verbose
+def command(run: str, link: str | None, yes: bool, json_target: str | None) -> None:
     """Write what RUN proposed, read it back, and store it in the drive."""
     screen = Screen(json_target, yes=yes)
     result = write(run, link, screen)

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Screen
 
 __all__ = ["command"]
@@ -18,8 +19,8 @@ AXIS = "bench"
 @click.command("demo")
 @click.option("--clock", type=click.Choice(["step", "wall"]), default="step", show_default=True,
               help="Simulated time as fast as it goes, or real time.")  # fmt: skip
-@click.option("-v", "--verbose", is_flag=True, help="Traceback when there is a bug.")
-def command(clock: str, verbose: bool) -> None:
+@verbose
+def command(clock: str) -> None:
     """Serve the virtual axis 'bench' over Modbus TCP and commission it as a technician would."""
     from commissioning.cli import show
     from commissioning.cli.apply import write

@@ -6,14 +6,16 @@ from pathlib import Path
 
 import click
 
+from commissioning.cli.options import verbose
+
 __all__ = ["command"]
 
 
 @click.command("export")
 @click.argument("run")
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
-@click.option("-v", "--verbose", is_flag=True, help="Traceback when there is a bug.")
-def command(run: str, folder: Path, verbose: bool) -> None:
+@verbose
+def command(run: str, folder: Path) -> None:
     """Copy RUN to FOLDER: result, samples (also as CSV), profile, journal.
 
     The folder is a RUN itself, on this machine or another.

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from commissioning.cli.options import verbose
 from profiles.errors import UsageError
 
 __all__ = ["command", "write_report"]
@@ -14,8 +15,8 @@ __all__ = ["command", "write_report"]
 @click.command("report")
 @click.argument("run")
 @click.option("--output", metavar="F", help="HTML file; default: in the run's folder.")
-@click.option("-v", "--verbose", is_flag=True, help="Traceback when there is a bug.")
-def command(run: str, output: str | None, verbose: bool) -> None:
+@verbose
+def command(run: str, output: str | None) -> None:
     """Write the report of RUN as one self-contained HTML file, and name it."""
     click.echo(str(write_report(run, output)))
 

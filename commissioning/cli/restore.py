@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Screen, at_desk
 
 __all__ = ["command"]
@@ -13,8 +14,8 @@ __all__ = ["command"]
 @click.argument("run", required=False)
 @click.option("--link", help="Reach the drive by this LINK instead of the run's own.")
 @click.option("--force", is_flag=True, help="Overwrite values that somebody changed since.")
-@click.option("-v", "--verbose", is_flag=True, help="Traceback when there is a bug.")
-def command(run: str | None, link: str | None, force: bool, verbose: bool) -> None:
+@verbose
+def command(run: str | None, link: str | None, force: bool) -> None:
     """Put back every parameter that RUN changed (default: the latest run that changed any)."""
     from commissioning.session.apply import restore
 

@@ -46,7 +46,9 @@ def summary(result: dict[str, Any], screen: Screen) -> None:
             )
         ]
         period = points["corrected"]["period"] * 1000
-        screen.table(f"the plant at the relay's own period of {period:.4g} ms", ["", "gain", "phase"], rows)
+        screen.table(
+            f"the plant at the relay's own period of {period:.4g} ms", ["", "gain", "phase"], rows
+        )
     quality, experiment = result["quality"], result["experiment"]
     screen.say(
         f"{quality['verdict']}: {experiment['periods']} periods, {experiment['duration']:.1f} s, "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Screen, at_desk, axis_from
 
 __all__ = ["command"]
@@ -12,8 +13,8 @@ __all__ = ["command"]
 @click.command("stop")
 @click.argument("target")
 @click.option("--profile", metavar="P", help="Drive profile: a built-in name or a file.")
-@click.option("-v", "--verbose", is_flag=True, help="Traceback when there is a bug.")
-def command(target: str, profile: str | None, verbose: bool) -> None:
+@verbose
+def command(target: str, profile: str | None) -> None:
     """Stop and de-energise the axis at TARGET, whoever enabled it."""
     from commissioning.session.apply import stop
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import click
 
+from commissioning.cli.options import verbose
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from commissioning.session.desk import Desk, Options
@@ -116,7 +117,7 @@ def axis_from(target: str, profile: str | None) -> Axis:
     elif target.endswith(".toml") or Path(target).exists():
         axis = load_axis(Path(target))
         if axis.link is None:
-            raise UsageError(f"{target}: has no link; add link = \"modbus-tcp://…\"")
+            raise UsageError(f'{target}: has no link; add link = "modbus-tcp://…"')
     else:
         raise UsageError(
             f"'{target}' is no link and no axis file; a link begins with virtual://, modbus-tcp:// "
@@ -149,7 +150,7 @@ _JOB_OPTIONS = [
     click.option("--yes", is_flag=True, help="Confirm in advance."),
     click.option("--json", "json_target", metavar="F", help="Result as JSON to F, '-' for standard output."),
     click.option("--trace", metavar="F", help="Every frame to F: candump text, or pcap of Modbus."),
-    click.option("-v", "--verbose", is_flag=True, help="Traceback when there is a bug."),
+    verbose,
 ]  # fmt: skip
 
 

@@ -51,11 +51,18 @@ def _pcap(file: Any) -> Trace:
     sequence = {True: 1, False: 1}
 
     def write(sending: bool, data: bytes) -> None:
-        (source, sport), (target, tport) = (
-            (_CLIENT, _SERVER) if sending else (_SERVER, _CLIENT)
-        )
+        (source, sport), (target, tport) = (_CLIENT, _SERVER) if sending else (_SERVER, _CLIENT)
         tcp = struct.pack(
-            ">HHIIBBHHH", sport, tport, sequence[sending], sequence[not sending], 0x50, 0x18, 8192, 0, 0
+            ">HHIIBBHHH",
+            sport,
+            tport,
+            sequence[sending],
+            sequence[not sending],
+            0x50,
+            0x18,
+            8192,
+            0,
+            0,
         )
         length = 20 + len(tcp) + len(data)
         ip = struct.pack(">BBHHHBBH4s4s", 0x45, 0, length, 0, 0, 64, 6, 0, source, target)

@@ -7,6 +7,7 @@ from typing import Literal
 
 import click
 
+from commissioning.cli.options import verbose
 from profiles.errors import UsageError
 
 __all__ = ["command"]
@@ -32,9 +33,7 @@ def list_axes(as_json: bool) -> None:
         return
     for axis in AXES.values():
         rotary = axis.motion == "rotary"
-        j, b, e, p = (
-            ("kg.m2", "N.m.s/rad", "N.m", "rad") if rotary else ("kg", "N.s/m", "N", "m")
-        )
+        j, b, e, p = ("kg.m2", "N.m.s/rad", "N.m", "rad") if rotary else ("kg", "N.s/m", "N", "m")
         click.echo(f"{axis.name:<13} {axis.title}")
         click.echo(
             f"{'':<13} inertia {axis.inertia:g} {j}, viscous {axis.viscous:g} {b}, Coulomb "
@@ -45,13 +44,23 @@ def list_axes(as_json: bool) -> None:
 
 @command.command("serve")
 @click.argument("axis")
-@click.option("--set", "changes", multiple=True, metavar="K=V", help="Option of the axis, as in a virtual:// link.")
+@click.option(
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="K=V",
+    help="Option of the axis, as in a virtual:// link.",
+)
 @click.option("--modbus-tcp", metavar="HOST:PORT", help="Modbus TCP; port 0 is any free one.")
 @click.option("--socketcand", metavar="HOST:PORT", help="CANopen by the socketcand protocol.")
 @click.option("--slcan", type=click.Choice(["pty"]), help="CANopen by slcan on a pseudo-terminal.")
 @click.option("--clock", type=click.Choice(["wall", "step"]), default="wall", show_default=True)
-@click.option("--state", type=click.Path(dir_okay=False, path_type=Path), help="File of its non-volatile memory.")
-@click.option("-v", "--verbose", is_flag=True, help="Traceback when there is a bug.")
+@click.option(
+    "--state",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="File of its non-volatile memory.",
+)
+@verbose
 def serve_axis(
     axis: str,
     changes: tuple[str, ...],
@@ -60,7 +69,6 @@ def serve_axis(
     slcan: str | None,
     clock: Literal["wall", "step"],
     state: Path | None,
-    verbose: bool,
 ) -> None:
     """Serve the virtual AXIS until Ctrl-C; prints one ready LINK a line."""
     from drivers.link import parse, state_file
@@ -73,10 +81,12 @@ def serve_axis(
     options = {key: value for key, value in link.options.items() if key != "state"}
     endpoints = Endpoints(_place(modbus_tcp), _place(socketcand), slcan == "pty")
     if endpoints == Endpoints():
-        raise UsageError("serve where? Give --modbus-tcp HOST:PORT, --socketcand HOST:PORT or --slcan pty")
+        raise UsageError(
+            "serve where? Give --modbus-tcp HOST:PORT, --socketcand HOST:PORT or --slcan pty"
+        )
     serve(
         configured(link.place, options), Memory(state or state_file(link)), endpoints, clock,
-        lambda ready: click.echo(ready),
+        click.echo,
     )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ __all__ = ["FirstLook", "first_look", "push"]
 
 RAMP_TIME = 4.0  # s from zero to the torque limit
 _LATENT = 0.02  # s: motion that takes longer than this to show moves the ramp on
-_PUSHES = (1.7, 2.5)  # torque of the pushes, in breakaway torques
+_PUSHES = (1.5, 2.2)  # torque of the pushes, in breakaway torques
 _PUSH_TRAVEL = 0.05  # share of the travel that a push may take
 _PUSH_SPEED = 0.3  # share of the speed limit
 _PUSH_TIME = 0.8  # s
@@ -96,9 +96,7 @@ def first_look(context: Context) -> Plan[FirstLook]:
     return _evaluate(context, breakaway, offset, pushes)
 
 
-def _evaluate(
-    context: Context, breakaway: float, offset: float, pushes: list[Push]
-) -> FirstLook:
+def _evaluate(context: Context, breakaway: float, offset: float, pushes: list[Push]) -> FirstLook:
     """From rest to rest the momentum is zero: impulse = f·duration + B·distance, without J."""
     rows = np.array([(p.duration, p.distance) for p in pushes])
     impulses = np.array([p.impulse for p in pushes])
@@ -166,13 +164,15 @@ def push(context: Context, offset: float, torque: float) -> Plan[Push]:
         moved = (sample.position - begin.position) * direction
         speed = abs(sample.position - begin.position) / max(sample.time - samples[0].time, 1e-9)
         enough = len(samples) >= _FEWEST + 3
-        if enough and (moved >= far or 2 * speed >= fast):
+        if (enough or moved >= 2 * far) and (moved >= far or 2 * speed >= fast):
             break
         if sample.time - samples[0].sent > _PUSH_TIME:
             break
     switched = len(samples)
     last = yield from _coast(context, offset, samples)
-    up = [s for s in samples[:switched] if (s.position - begin.position) * direction > context.motion]
+    up = [
+        s for s in samples[:switched] if (s.position - begin.position) * direction > context.motion
+    ]
     if len(up) < _FEWEST:
         up = samples[max(0, switched - _FEWEST) : switched]
     acceleration, start = _parabola(up, direction)

@@ -51,12 +51,12 @@ class Stopping:
         return c0 + (c1 + c2 * speed) * speed
 
 
-def run_up(context: Context, known: FirstLook) -> Plan[tuple[float, float, float]]:
+def run_up(context: Context, known: FirstLook) -> Plan[tuple[float, float]]:
     """Set the axis in motion and return while it moves, for the stop path to be proved.
 
     Returns
     -------
-    time, position and speed of the last sample (s, rad or m, rad/s or m/s; speed > 0)
+    position and speed of the last sample (rad or m, rad/s or m/s; speed >= 0)
     """
     context.tell("proof of the stop path: a short run, then stop")
     most = context.torque - abs(known.offset)
@@ -71,5 +71,5 @@ def run_up(context: Context, known: FirstLook) -> Plan[tuple[float, float, float
         speed = (sample.position - before.position) / elapsed if elapsed > 0 else 0.0
         far = sample.position - begin >= _PROOF_TRAVEL * context.travel
         if speed >= goal or (far and speed > 0) or sample.time > before.time + 5:
-            return sample.time, sample.position, max(speed, 0.0)
+            return sample.position, max(speed, 0.0)
         before = sample

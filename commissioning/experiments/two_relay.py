@@ -6,6 +6,7 @@ period is that of test 1.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import log, sqrt
@@ -42,7 +43,10 @@ _FEWEST_COUNTS = 200  # encoder counts of half-swing
 _MOST_PERIODS = 60  # of one test
 _GROWTH = 1.35  # of the hysteresis from stage to stage
 _MOST_TESTS = 14
-_TRAVEL_SHARE = 0.8  # of the travel: what the worst stop may take
+_CLOSE = 0.006  # of the period: a mismatch that the interval can carry
+_TORQUE_SHARE = 0.97  # of the limit; the rest is for the bias to move
+_FROM_BELOW = 0.8  # of the first guess of the second hysteresis
+_TRAVEL_SHARE = 0.7  # of the travel: what the worst stop may take
 _SPEED_SHARE = 0.5  # of the speed limit, at the peak of the larger test
 _TRANSIENT = 3  # periods after a change that are not averaged
 
@@ -101,7 +105,7 @@ def design(
     """
     unit = context.effort_unit
     d1 = max(_D1_FRICTION * known.coulomb, _D1_BREAKAWAY * known.breakaway)
-    most = context.torque - abs(known.offset)
+    most = _TORQUE_SHARE * context.torque - abs(known.offset)
     d2 = min(_RATIO * d1, most)
     if d2 < _LEAST_RATIO * d1:
         raise MeasurementRejected(
@@ -114,9 +118,7 @@ def design(
     def half_swing(period: float, d: float) -> float:
         return period**2 * (d * d - f * f) / (32 * inertia * d)  # rigid axis, no viscous friction
 
-    period = max(
-        _DEAD_TIMES * known.dead_time, _FEWEST_CYCLES * context.cycle, _SHORTEST_PERIOD
-    )
+    period = max(_DEAD_TIMES * known.dead_time, _FEWEST_CYCLES * context.cycle, _SHORTEST_PERIOD)
     counts = _FEWEST_COUNTS * context.resolution
     period = max(period, sqrt(counts * 32 * inertia * d1 / (d1 * d1 - f * f)))
     period = min(period, longest_period)
@@ -135,9 +137,7 @@ def design(
     return RelayDesign(d1, d2, 0.3 * first * f / d1, period, room / growth, known.offset)
 
 
-def _room(
-    context: Context, stopping: Stopping, d: float, f: float, inertia: float
-) -> float:
+def _room(context: Context, stopping: Stopping, d: float, f: float, inertia: float) -> float:
     """Largest half-swing whose worst stop, at full speed past the switching point, stays inside."""
     allowed = _TRAVEL_SHARE * context.travel
 
@@ -171,16 +171,36 @@ def two_relay(
         f"relay test 1: period {first.period * 1000:.4g} ms, half-swing "
         f"{first.half_swing:.4g} {context.position_unit}"
     )
-    test.relay.amplitude = plan.d2
+    test.relay.amplitude = min(plan.d2, context.torque - abs(test.relay.bias) - _one_step(context))
     friction = min(known.coulomb, 0.9 * plan.d1)
     ratio = (1 - (friction / plan.d2) ** 2) / (1 - (friction / plan.d1) ** 2)
-    test.relay.hysteresis = first.hysteresis * ratio
+    # delay lowers the ratio, and from below the larger swing cannot overshoot the travel
+    test.relay.hysteresis = _FROM_BELOW * first.hysteresis * ratio
     if solver == "thesis":
         second, span, tests = yield from _match_by_rule(test, first, k_epsilon)
     else:
         second, span, tests = yield from _match_by_bracket(test, first)
-    yield from come_to_rest(test.relay.bias, context)
+    yield from _end_at_reversal(test)
     return TwoRelay(first, second, first_span, span, tests, test.periods_run)
+
+
+def _end_at_reversal(test: _Test) -> Plan[None]:
+    """Take the torque away where the axis turns: friction alone then keeps it there."""
+    relay = test.relay
+    before = yield relay.bias + relay.sign * relay.amplitude
+    moved = 0.0
+    while True:
+        sample = yield relay.switch(before)
+        step = sample.position - before.position
+        if step * moved < 0:
+            break
+        moved, before = step or moved, sample
+    yield from come_to_rest(relay.bias, test.context)
+
+
+def _one_step(context: Context) -> float:
+    """Margin for the rounding of the command, N.m or N."""
+    return context.torque_resolution
 
 
 class _Test:
@@ -228,6 +248,8 @@ class _Record:
     """Samples of one test as growing columns."""
 
     def __init__(self) -> None:
+        self._periods: Periods | None = None
+        self._from = 0
         self.time: list[float] = []
         self.position: list[float] = []
         self.command: list[float] = []
@@ -238,7 +260,16 @@ class _Record:
         self.command.append(sample.command)
 
     def periods(self, relay: Relay) -> Periods:
-        return periods_of(self.time, self.position, self.command, relay.reference, relay.bias)
+        """Every whole period so far; only what is new is evaluated."""
+        tail = slice(self._from, None)
+        fresh = periods_of(
+            self.time[tail], self.position[tail], self.command[tail], relay.reference, relay.bias
+        )
+        if len(fresh):
+            end = float(fresh.start[-1] + fresh.period[-1])
+            self._from = max(bisect_left(self.time, end) - 2, 0)
+        self._periods = fresh if self._periods is None else self._periods.followed_by(fresh)
+        return self._periods
 
 
 def _stage(test: _Test, plan: RelayDesign) -> Plan[None]:
@@ -265,9 +296,7 @@ def _balanced(test: _Test, known: FirstLook) -> Plan[tuple[LimitCycle, tuple[flo
     """Move the bias until both directions take the same time (50 % duty), then settle."""
     relay, context = test.relay, test.context
     for _ in range(8):
-        periods = yield from test.run(
-            lambda p: len(p) >= _TRANSIENT + 4, _MOST_PERIODS, 1e3
-        )
+        periods = yield from test.run(lambda p: len(p) >= _TRANSIENT + 4, _MOST_PERIODS, 1e3)
         recent = periods.last(4)
         direction = float(np.mean(recent.direction))
         # DC balance: mean(u) = offset + f * mean(sign v)
@@ -323,9 +352,12 @@ def _match_by_bracket(
     low: tuple[float, float] | None = None  # (log ε2, T2 - T1) with T2 < T1
     high: tuple[float, float] | None = None
     last_side = 0
+    best: tuple[float, LimitCycle, tuple[float, float]] | None = None
     for number in range(1, _MOST_TESTS + 1):
         second, span = yield from _settle(test, 2)
         x, gap = log(relay.hysteresis), second.period - first.period
+        if best is None or abs(gap) < best[0]:
+            best = (abs(gap), second, span)
         context.tell(
             f"relay test 2, try {number}: period {second.period * 1000:.4g} of "
             f"{first.period * 1000:.4g} ms"
@@ -350,6 +382,8 @@ def _match_by_bracket(
             x = (low[0] * high[1] - high[0] * low[1]) / (high[1] - low[1])
         relay.hysteresis = float(np.exp(x))
         _check_feasible(context, relay, first)
+    if best is not None and best[0] <= _CLOSE * first.period:
+        return best[1], best[2], _MOST_TESTS  # the interval carries the mismatch
     raise MeasurementRejected(
         f"the second relay test does not reach the period of the first within {_MOST_TESTS} tries "
         f"(it is off by {gap * 1000:.3g} ms of {first.period * 1000:.4g} ms); the axis changes "
@@ -387,4 +421,3 @@ def _match_by_rule(
         f"rule (4.21) with k = {k_epsilon:g} does not converge within 400 steps (still "
         f"{gap * 1000:.3g} ms off); use the bracketing solver"
     )
-

@@ -46,9 +46,7 @@ class CriticalPoint:
 
 def naive(cycle: LimitCycle) -> CriticalPoint:
     """What every relay autotuner concludes: Ku = 4d/(πA), at −180°."""
-    return CriticalPoint(
-        pi * cycle.half_swing / (4 * cycle.relay_amplitude), -180.0, cycle.period
-    )
+    return CriticalPoint(pi * cycle.half_swing / (4 * cycle.relay_amplitude), -180.0, cycle.period)
 
 
 def hysteresis_only(cycle: LimitCycle) -> CriticalPoint:

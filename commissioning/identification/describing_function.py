@@ -31,7 +31,8 @@ def relay(half_swing: ArrayLike, relay_amplitude: float, hysteresis: float) -> C
     """
     a = np.asarray(half_swing, float)
     _check(a, hysteresis)
-    return 4 * relay_amplitude / (np.pi * a) * np.exp(-1j * np.arcsin(hysteresis / a))
+    phasor = np.exp(-1j * np.arcsin(hysteresis / a))
+    return np.asarray(4 * relay_amplitude / (np.pi * a) * phasor, np.complex128)
 
 
 def equivalent(
@@ -42,14 +43,17 @@ def equivalent(
     N = 4/(πA)·( d·e^(−j·asin(ε/A)) + j·f ); `coulomb` may be the complex f̄ of (4.14).
     """
     a = np.asarray(half_swing, float)
-    return relay(a, relay_amplitude, hysteresis) + 4j * coulomb / (np.pi * a)
+    friction: Any = 4j * coulomb / (np.pi * a)
+    total: Any = relay(a, relay_amplitude, hysteresis) + friction
+    return np.asarray(total, np.complex128)
 
 
 def inverse_locus_ideal(half_swing: ArrayLike, relay_amplitude: float, coulomb: float) -> Complex:
     """−1/N of the relay without hysteresis (4.9): −πA/4·(d − j·f)/(d² + f²)."""
     a = np.asarray(half_swing, float)
     d, f = relay_amplitude, coulomb
-    return -np.pi * a / 4 * (d - 1j * f) / (d**2 + f**2)
+    locus: Any = -np.pi * a / 4 * (d - 1j * f) / (d**2 + f**2)
+    return np.asarray(locus, np.complex128)
 
 
 def inverse_locus(
@@ -60,7 +64,9 @@ def inverse_locus(
     _check(a, hysteresis)
     share, ratio = hysteresis / a, coulomb / relay_amplitude
     top = np.sqrt(1 - share**2) - 1j * (ratio - share)
-    return -np.pi * a / (4 * relay_amplitude) * top / (1 - 2 * ratio * share + ratio**2)
+    below = 1 - 2 * ratio * share + ratio**2
+    locus: Any = -np.pi * a / (4 * relay_amplitude) * top / below
+    return np.asarray(locus, np.complex128)
 
 
 def _check(half_swing: NDArray[Any], hysteresis: float) -> None:

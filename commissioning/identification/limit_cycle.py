@@ -13,6 +13,8 @@ Array = NDArray[np.float64]
 
 FEWEST = 6  # periods for a mean: a sampled relay wanders by some samples (method.md 2)
 _SAMPLES_A_PERIOD = 8  # below this a period is no period
+_FEWEST_POINTS = 3  # for a parabola
+_TORQUE_SETTLES = 2  # samples after a change of the command until the axis feels it
 _PEAK_SHARE = 0.05  # of a period: samples on each side of a reversal that are fitted
 
 
@@ -43,6 +45,15 @@ class Periods:
 
     def __len__(self) -> int:
         return len(self.period)
+
+    def followed_by(self, other: Periods) -> Periods:
+        """These and then the `other` periods."""
+        return Periods(
+            *(
+                np.concatenate((getattr(self, name), getattr(other, name)))
+                for name in self.__slots__
+            )
+        )
 
     def last(self, count: int) -> Periods:
         """The last `count` periods."""
@@ -119,53 +130,84 @@ def periods_of(
     return Periods(*columns)
 
 
-def _one(
-    t: Array, y: Array, u: Array, begin: float, end: float, bias: float
-) -> tuple[float, ...]:
+def _one(t: Array, y: Array, u: Array, begin: float, end: float, bias: float) -> tuple[float, ...]:
     period = end - begin
-    top_time, top = _reversal(t, y, int(np.argmax(y)))
-    bottom_time, bottom = _reversal(t, y, int(np.argmin(y)))
+    top_time, top = _reversal(t, y, u, int(y.argmax()))
+    bottom_time, bottom = _reversal(t, y, u, int(y.argmin()))
     falling = bottom_time - top_time  # the record begins rising
-    w = 2 * np.pi / period
-    steps = np.diff(np.concatenate(([begin], t, [end])))
+    steps = np.empty(len(t) + 1)
+    steps[0], steps[1:-1], steps[-1] = t[0] - begin, t[1:] - t[:-1], end - t[-1]
     weights = 0.5 * (steps[:-1] + steps[1:])
-    fundamental = 2 / period * abs(np.sum(weights * y * np.exp(-1j * w * t)))
-    speed = np.max(np.abs(np.diff(y) / np.diff(t)))
-    high = np.clip((u - bias) / max(np.max(np.abs(u - bias)), 1e-300), -1, 1)
+    fundamental = 2 / period * abs(np.exp(t * (-2j * np.pi / period)) @ (weights * y))
+    speed = np.abs((y[1:] - y[:-1]) / steps[1:-1]).max()
+    mean = float(u.sum()) / len(u)
+    swing = max(float(u.max()) - bias, bias - float(u.min()), 1e-300)
     return (
         begin,
         period,
         (top - bottom) / 2,
         fundamental,
         1 - 2 * falling / period,
-        float(np.mean(u)),
-        float(np.mean(0.5 + 0.5 * high)),
+        mean,
+        0.5 + 0.5 * (mean - bias) / swing,
         speed,
     )
 
 
-def _reversal(t: Array, y: Array, at: int) -> tuple[float, float]:
+def _reversal(t: Array, y: Array, u: Array, at: int) -> tuple[float, float]:
     """Instant and position of a reversal: each side of it is a parabola of its own.
 
-    Deceleration (d+f)/J before, (d−f)/J after: a fit across the reversal would smear it.
+    Deceleration (d+f)/J before, (d−f)/J after: a fit across the reversal would smear it, and so
+    would one across the switching of the torque before it.
     """
     width = max(4, round(_PEAK_SHARE * len(t)))
-    found = []
-    for side in (slice(max(0, at - width), at), slice(at + 1, at + 1 + width)):
-        ts, ys = t[side] - t[at], y[side]
-        if len(ts) < 4:
+    turn = 1.0 if y[at] >= 0 else -1.0
+    begin = float(t[at])
+    first = max(0, at - width)
+    changed = np.flatnonzero(np.diff(u[first:at]))
+    if len(changed):
+        first += int(changed[-1]) + _TORQUE_SETTLES
+    instants, peaks = [], []
+    for side in (slice(first, at), slice(at + 1, at + 1 + width)):
+        ts, ys = t[side].tolist(), y[side].tolist()
+        if len(ts) < _FEWEST_POINTS:
             continue
-        scale = max(abs(ts[0]), abs(ts[-1]))
-        c2, c1, c0 = np.polyfit(ts / scale, ys, 2)
-        if c2 * (1 if y[at] >= 0 else -1) >= 0:
+        scale = max(abs(ts[0] - begin), abs(ts[-1] - begin))
+        c2, c1, c0 = _quadratic([(x - begin) / scale for x in ts], ys)
+        if c2 * turn >= 0:
             continue
         vertex = -c1 / (2 * c2)
         if abs(vertex) <= 1:
-            found.append((t[at] + vertex * scale, c0 - c1**2 / (4 * c2)))
-    if not found:
-        return float(t[at]), float(y[at])
-    instants, peaks = zip(*found, strict=True)
-    return float(np.mean(instants)), float(np.mean(peaks))
+            instants.append(begin + vertex * scale)
+            peaks.append(c0 - c1**2 / (4 * c2))
+    if not instants:
+        return begin, float(y[at])
+    return sum(instants) / len(instants), sum(peaks) / len(peaks)
+
+
+def _quadratic(x: list[float], y: list[float]) -> tuple[float, float, float]:
+    """Least-squares parabola c2·x² + c1·x + c0; a handful of points, x of order one.
+
+    Normal equations about the mean of x, solved by hand: an array call costs more than the sums.
+    """
+    n = len(x)
+    centre, level = sum(x) / n, sum(y) / n
+    s2 = s3 = s4 = t1 = t2 = 0.0
+    for xi, yi in zip(x, y, strict=True):
+        v, w = xi - centre, yi - level
+        v2 = v * v
+        s2 += v2
+        s3 += v2 * v
+        s4 += v2 * v2
+        t1 += v * w
+        t2 += v2 * w
+    determinant = s2 * (s4 - s2 * s2 / n) - s3 * s3
+    if determinant <= 0:
+        return 0.0, 0.0, level
+    c2 = (t2 * s2 - t1 * s3) / determinant
+    c1 = (t1 - c2 * s3) / s2
+    c0 = level - c2 * s2 / n
+    return c2, c1 - 2 * c2 * centre, c0 - c1 * centre + c2 * centre * centre
 
 
 def settled(values: Array, resolution: float) -> bool:
@@ -184,8 +226,10 @@ def settled(values: Array, resolution: float) -> bool:
         return False
     half = n // 2
     before, after = values[-2 * half : -half], values[-half:]
-    scatter = np.sqrt((np.var(before, ddof=1) + np.var(after, ddof=1)) / half)
-    return bool(abs(np.mean(after) - np.mean(before)) <= max(resolution, 2 * scatter))
+    first, second = before.sum() / half, after.sum() / half
+    variance = (((before - first) ** 2).sum() + ((after - second) ** 2).sum()) / (half - 1)
+    scatter = float(variance / half) ** 0.5
+    return bool(abs(second - first) <= max(resolution, 2 * scatter))
 
 
 def measure(

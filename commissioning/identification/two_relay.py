@@ -46,9 +46,7 @@ class FrictionEstimate:
     second: LimitCycle
 
 
-def solve(
-    d1: float, eps1: float, a1: float, d2: float, eps2: float, a2: float
-) -> complex:
+def solve(d1: float, eps1: float, a1: float, d2: float, eps2: float, a2: float) -> complex:
     """Complex Coulomb friction f̄ = f_re + j·f_im by (4.14), N.m or N; f = |f̄| by (4.16).
 
     Parameters
@@ -82,11 +80,14 @@ def feasible(first: LimitCycle, f_re: float, a2: float) -> bool:
     )
 
 
-def from_cycles(first: LimitCycle, second: LimitCycle) -> FrictionEstimate:
+def from_cycles(
+    first: LimitCycle, second: LimitCycle, sampling: float = 0.0
+) -> FrictionEstimate:
     """Friction and offset from two limit cycles of (nearly) one period.
 
     The interval is the scatter of the half-swings and of the match of the periods, propagated
-    through (4.14), and the stated systematic share of the first-harmonic method.
+    through (4.14), and the systematic part: the stated share of the first-harmonic method, and
+    `sampling` (s), the cycle of the sampled relay, as a share of the period.
     """
     args = (
         first.relay_amplitude, first.hysteresis, first.half_swing,
@@ -106,8 +107,9 @@ def from_cycles(first: LimitCycle, second: LimitCycle) -> FrictionEstimate:
     moved[5] *= 1 + 2 * mismatch
     variance += (abs(solve(*moved)) - f) ** 2
     scatter = 2 * sqrt(variance)
-    low = f / (1 + SYSTEMATIC_HIGH) - scatter
-    high = f / (1 + SYSTEMATIC_LOW) + scatter
+    steps = sampling / first.period
+    low = f / (1 + SYSTEMATIC_HIGH + steps) - scatter
+    high = f / (1 + SYSTEMATIC_LOW - steps) + scatter
     return FrictionEstimate(
         Estimate(f, max(low, 0.0), high), value, _offset(first, second, f), first, second
     )

@@ -12,13 +12,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from commissioning.identification.describing_function import inverse_locus, relay
+from commissioning.identification.describing_function import equivalent, relay
 from commissioning.runs import Samples
 
 __all__ = ["nyquist", "overview", "phase_plane", "tests_over_time"]
 
 BLUE, ORANGE, GREY, GREEN = "#0b5394", "#c55a11", "#6b6b6b", "#2e7d32"
-_STYLE = {
+_STYLE: Any = {
     "font.size": 9,
     "font.family": "sans-serif",
     "axes.spines.top": False,
@@ -126,7 +126,7 @@ def phase_plane(samples: Samples, result: dict[str, Any]) -> str:
 def nyquist(result: dict[str, Any]) -> str:
     """The −1/N loci of both tests, without and with friction, and the three readings of G."""
     method, points = result["methods"]["two-relay"], result["critical_point"]
-    coulomb = result["friction"]["coulomb"]["value"]
+    coulomb = complex(method["real"], method["imaginary"])
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(4.7, 3.9), layout="constrained")
         axes = figure.subplots()
@@ -134,7 +134,7 @@ def nyquist(result: dict[str, Any]) -> str:
             d, eps = method["relay_amplitude"][n], method["hysteresis"][n]
             swings = np.linspace(eps * (1 + 1e-9), 2.2 * method["half_swing"][n], 300)
             without = -1 / relay(swings, d, eps)
-            with_friction = inverse_locus(swings, d, eps, coulomb)
+            with_friction = -1 / equivalent(swings, d, eps, coulomb)
             color = (BLUE, ORANGE)[n]
             name = f"d{n + 1}"
             _locus(axes, without, color, ":", f"−1/N, relay {name} alone")

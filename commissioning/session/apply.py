@@ -124,10 +124,11 @@ def _write(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted]) -> None
                     )
             desk.tell("stored in the drive's non-volatile memory, read back again")
     except TwoRelayError as error:
-        error.args = (
+        text = (
             f"{error}; what was written so far is in the journal: 'tworelay restore {run_id}' puts "
-            "the old values back",
+            "the old values back"
         )
+        error.args = (text,)
         raise
 
 

@@ -56,6 +56,7 @@ _THERMAL = 5.0  # s at twice-and-a-bit the rated torque: budget in rated² secon
 _BRAKING_SHARE = 0.7  # of the braking that was seen, for what is certain
 _NOTICE = 4  # cycles: three missed ones and the one under way
 _LEAST_PERIOD = 20  # dead times
+_LEAST_CYCLES = 25  # a period
 
 
 class Failure(Exception):
@@ -123,7 +124,9 @@ def _identify(
     recorder = Recorder(on_phase=desk.tell)
     folder = RunFolder.of(desk.journal, run_id)
     try:
-        job = _Job(axis, options, desk, drive, limits, recorder, Settings(desk.journal, run_id, drive))
+        job = _Job(
+            axis, options, desk, drive, limits, recorder, Settings(desk.journal, run_id, drive)
+        )
         measured = job.measure()
         _fill(result, measured, axis, drive, recorder, limits)
         changes = _proposal(drive, measured, options.fraction)
@@ -267,7 +270,7 @@ class _Job:
             self.envelope, speed=self.limits.speed, stopping=stopping, relay_torque=plan.d2
         )
         tests = self._run(self._relay_job(known, plan), rest)
-        estimate = from_cycles(tests.first, tests.second)
+        estimate = from_cycles(tests.first, tests.second, self.drive.cycle)
         if not 0 < estimate.coulomb.value < plan.d1:
             raise MeasurementRejected(
                 f"the two relay tests give a friction of {estimate.coulomb.value:.4g} "
@@ -303,9 +306,7 @@ class _Job:
 
     def _prove_stop(self, known: FirstLook) -> Stopping:
         """Set the axis in motion, stop it by the stop path, and see what braking is certain."""
-        time, position, speed = self._run(
-            run_up(self.context, known), known.offset, leave_moving=True
-        )
+        position, speed = self._run(run_up(self.context, known), known.offset, leave_moving=True)
         distance = abs(self.drive.read("position_actual") - position)
         delay = known.dead_time + self.drive.cycle
         counted = max(distance - speed * delay, 0.25 * distance, 1e-12)
@@ -365,19 +366,25 @@ def _fill(
         result["experiment"]["spans"] = [
             [t - begin for t in span] for span in result["experiment"]["spans"]
         ]
-    result["quality"] = _quality(measured, axis)
+    result["quality"] = _quality(measured, drive.cycle)
 
 
-def _quality(measured: _Measured, axis: Axis) -> dict[str, Any]:
+def _quality(measured: _Measured, cycle: float) -> dict[str, Any]:
     reasons = []
     tests, f = measured.tests, measured.estimate.coulomb.value
-    for number, cycle in ((1, tests.first), (2, tests.second)):
-        if not cycle.settled:
-            reasons.append(f"relay test {number} did not settle within {cycle.periods} periods")
+    for number, test in ((1, tests.first), (2, tests.second)):
+        if not test.settled:
+            reasons.append(f"relay test {number} did not settle within {test.periods} periods")
     if tests.first.period < _LEAST_PERIOD * measured.look.dead_time:
         reasons.append(
             f"the period of {tests.first.period * 1000:.3g} ms is short against the dead time of "
             f"{measured.look.dead_time * 1000:.3g} ms; more travel would allow a longer one"
+        )
+    cycles = tests.first.period / cycle
+    if cycles < _LEAST_CYCLES:
+        reasons.append(
+            f"a period has only {cycles:.0f} cycles of {cycle * 1000:g} ms; more travel or a "
+            "shorter --cycle would give more"
         )
     share = f / tests.first.relay_amplitude
     if not 0.2 <= share <= 0.8:
@@ -412,4 +419,3 @@ def _proposal(drive: Drive, measured: _Measured, fraction: float) -> list[Change
     old = {name: drive.read_raw(name) for name in law.terms.values()}
     known = Known(measured.estimate.coulomb.value, measured.estimate.offset.value)
     return propose(drive.profile, drive.scaling, known, old, fraction)
-

@@ -18,7 +18,8 @@ from typing import Any
 
 import can
 from canopen.objectdictionary import ObjectDictionary
-from canopen.sdo import SdoAbortedError, SdoClient, SdoCommunicationError
+from canopen.sdo.client import SdoClient
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from profiles.errors import AccessDenied, LinkError, LinkLost, UsageError
 
@@ -99,7 +100,9 @@ def _greet(host: str, port: int, timeout: float) -> None:
             f"{host}:{port} does not greet as socketcand within {timeout:g} s: is it that port?"
         ) from None
     except OSError as error:
-        raise LinkError(f"cannot connect to socketcand at {host}:{port}: {error.strerror or error}") from None
+        raise LinkError(
+            f"cannot connect to socketcand at {host}:{port}: {error.strerror or error}"
+        ) from None
     if not hello.startswith(b"< hi"):
         raise LinkError(f"{host}:{port} is no socketcand server: it says {hello[:20]!r}")
 
@@ -278,20 +281,20 @@ class CanWire:
                 self._bus.shutdown()
 
 
-class _PumpedSdo(SdoClient):  # type: ignore[misc]
+class _PumpedSdo(SdoClient):
     """canopen's SDO client on a wire without a receive thread; one request, no retry."""
 
     MAX_RETRIES = 1
 
     def __init__(self, wire: CanWire, node: int, timeout: float) -> None:
-        super().__init__(0x600 + node, 0x580 + node, ObjectDictionary())
+        super().__init__(0x600 + node, 0x580 + node, ObjectDictionary())  # type: ignore[no-untyped-call]
         self.RESPONSE_TIMEOUT = timeout
-        self.network = wire
+        self.network = wire  # type: ignore[assignment]
+        self._wire = wire
 
     def read_response(self) -> bytes:
         """Pump the wire until the response is there."""
-        wire: CanWire = self.network
-        if not wire.pump_until(lambda: not self.responses.empty(), self.RESPONSE_TIMEOUT):
+        if not self._wire.pump_until(lambda: not self.responses.empty(), self.RESPONSE_TIMEOUT):
             raise SdoCommunicationError("No SDO response received")
-        response: bytes = super().read_response()
+        response: bytes = super().read_response()  # type: ignore[no-untyped-call]
         return response

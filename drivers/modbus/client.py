@@ -132,7 +132,9 @@ class Client:
             )
         return answer
 
-    def read(self, function: int, address: int, count: int, timeout: float | None = None) -> list[int]:
+    def read(
+        self, function: int, address: int, count: int, timeout: float | None = None
+    ) -> list[int]:
         """Registers by FC 3 or 4."""
         request = (
             self._client.read_holding_registers
@@ -176,9 +178,7 @@ class Client:
     def identification(self) -> dict[int, str]:
         """Basic device identification (FC 43/14), text by object id."""
         found: dict[int, str] = {}
-        answer = self._ask(
-            self._client.read_device_information, None, read_code=1, object_id=0
-        )
+        answer = self._ask(self._client.read_device_information, None, read_code=1, object_id=0)
         for key, value in getattr(answer, "information", {}).items():
             text = value if isinstance(value, bytes) else b"".join(value)
             found[int(key)] = text.decode("ascii", "replace").strip()
@@ -194,7 +194,7 @@ class Client:
 
     def _drop(self) -> None:
         with contextlib.suppress(OSError):
-            self._client.close()
+            self._client.close()  # type: ignore[no-untyped-call]
 
     def close(self) -> None:
         """Close the connection."""

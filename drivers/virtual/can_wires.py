@@ -139,7 +139,9 @@ class SocketcandServer:
 
         def deliver(frame: Frame) -> None:
             stamp = f"{time.time():.6f}"
-            writer.write(f"< frame {frame.cob_id:03X} {stamp} {frame.data.hex().upper()} >".encode())
+            writer.write(
+                f"< frame {frame.cob_id:03X} {stamp} {frame.data.hex().upper()} >".encode()
+            )
 
         attached = False
         try:

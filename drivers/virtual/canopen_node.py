@@ -131,10 +131,10 @@ class _Pdo:
     @property
     def mapped(self) -> list[tuple[_Entry, int]]:
         """Entry and its length in bytes, in order."""
-        found = []
-        for slot in self.slots[: self.count]:
-            found.append((_OBJECTS[slot >> 16, slot >> 8 & 0xFF], (slot & 0xFF) // 8))
-        return found
+        return [
+            (_OBJECTS[slot >> 16, slot >> 8 & 0xFF], (slot & 0xFF) // 8)
+            for slot in self.slots[: self.count]
+        ]
 
 
 class CanopenNode:
@@ -397,10 +397,10 @@ class CanopenNode:
             (0x1017, 0): struct.pack("<H", self._producer),
             **{(0x1018, n + 1): struct.pack("<I", number) for n, number in enumerate(identity)},
         }
-        value = plain.get((index, sub))
-        if value is None:
+        found = plain.get((index, sub))
+        if found is None:
             raise _Abort(self._missing(index))
-        return value
+        return found
 
     def _missing(self, index: int) -> int:
         known = index in _COUNTS or index in _STRINGS or any(i == index for i, _ in _OBJECTS)

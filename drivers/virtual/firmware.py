@@ -24,6 +24,8 @@ _NEVER = 1 << 62
 _STORE_TIME = 20_000_000  # ns: the EEPROM is busy
 _BRAKE_RELEASE = 50_000_000  # ns
 _BRAKE_APPLY = 50_000_000  # ns
+_TENTH_RPM = 2 * pi / 600  # rad/s
+_NEAR_SPEED_LIMIT = 0.9 * _TENTH_RPM
 _REST_SPEED_SHARE = 2e-4  # of the speed limit: slower than this counts as standstill
 
 MODE_PROFILE_TORQUE = 4
@@ -134,7 +136,9 @@ class Firmware:
         self.plant = Plant(axis.plant)
         self.plant.locked = axis.brake
         self.now = 0
-        self.state = State.SWITCH_ON_DISABLED
+        self._state = State.SWITCH_ON_DISABLED
+        self._word = 0
+        self._enabled = False
         self.error_code = 0
         self.store_busy_until = 0
         self.on_emergency: Callable[[int], None] = lambda code: None
@@ -142,6 +146,7 @@ class Firmware:
         self._objects = _objects(axis)
         self.values = {key: item.default for key, item in self._objects.items()}
         self._recall()
+        self.state = State.SWITCH_ON_DISABLED
         self._unit = axis.rated / 1000  # N.m or N of one per mille
         self._resolution = axis.resolution
         self._delay = round(axis.delay * SECOND)
@@ -186,16 +191,24 @@ class Firmware:
         return self._energised
 
     @property
+    def state(self) -> State:
+        """Where the power state machine is."""
+        return self._state
+
+    @state.setter
+    def state(self, state: State) -> None:
+        self._state = state
+        self._enabled = state is State.OPERATION_ENABLED
+        self._word = state.value | 0x0200  # remote
+        if state is not State.SWITCH_ON_DISABLED and state is not State.FAULT:
+            self._word |= 0x0010  # voltage enabled
+        if self._enabled:
+            self._word |= 0x1000  # follows the command
+
+    @property
     def statusword(self) -> int:
         """Statusword 6041h."""
-        word = self.state.value | 0x0200  # remote
-        if self.state is not State.SWITCH_ON_DISABLED and self.state is not State.FAULT:
-            word |= 0x0010  # voltage enabled
-        if self._limiting:
-            word |= 0x0800  # internal limit active
-        if self.state is State.OPERATION_ENABLED:
-            word |= 0x1000  # follows the command
-        return word
+        return self._word | 0x0800 if self._limiting else self._word  # internal limit active
 
     @property
     def position(self) -> int:
@@ -404,12 +417,14 @@ class Firmware:
 
     def _clamped(self, per_mille: int) -> float:
         limit = self.values["max_torque"]
-        clamped = max(-limit, min(limit, per_mille))
-        self._limiting = clamped != per_mille
-        return clamped * self._unit
+        if -limit <= per_mille <= limit:
+            self._limiting = False
+            return per_mille * self._unit
+        self._limiting = True
+        return (limit if per_mille > 0 else -limit) * self._unit
 
     def _take_torque(self, per_mille: int) -> None:
-        if self.state is State.OPERATION_ENABLED:
+        if self._enabled:
             torque = self._clamped(per_mille)
             if self._delay:
                 self._queue.append((self.now + self._delay, torque))
@@ -438,13 +453,12 @@ class Firmware:
     def advance(self, duration: int) -> None:
         """Let `duration` ns pass."""
         end = self.now + duration
+        queue = self._queue
         while True:
             until = end
-            queue = self._queue
             if queue and queue[0][0] < until:
                 until = queue[0][0]
-            if self._timer < until:
-                until = self._timer
+            until = min(until, self._timer)
             watchdog = self.values["watchdog_time"] * 1_000_000 if self._watched else 0
             if watchdog and self._energised and self._fed + watchdog < until:
                 until = max(self._fed + watchdog, self.now)
@@ -468,18 +482,15 @@ class Firmware:
 
     def _needs_loop(self) -> bool:
         """Whether the drive's own loops are at work (else the torque is constant between events)."""
-        if self.state is not State.OPERATION_ENABLED:
-            return self.state is State.QUICK_STOP_ACTIVE or (
-                self.state is State.FAULT_REACTION_ACTIVE
-            )
-        values = self.values
-        if values["mode"] == MODE_CYCLIC_TORQUE:
-            return abs(self.plant.velocity) > 0.9 * self._speed_limit
+        if not self._enabled:
+            return self._state in (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
+        if self.values["mode"] == MODE_CYCLIC_TORQUE:
+            return abs(self.plant.velocity) > _NEAR_SPEED_LIMIT * self.values["max_speed"]
         return True
 
     @property
     def _speed_limit(self) -> float:
-        return self.values["max_speed"] * (2 * pi / 600)
+        return self.values["max_speed"] * _TENTH_RPM
 
     def _tick(self) -> None:
         """One period of the drive's control loops."""

@@ -48,7 +48,7 @@ async def start_modbus_tcp(
             return _CODES[error.reason]
         return None
 
-    identity = ModbusDeviceIdentification(
+    identity = ModbusDeviceIdentification(  # type: ignore[no-untyped-call]
         info_name={
             "VendorName": VENDOR,
             "ProductCode": PRODUCT,

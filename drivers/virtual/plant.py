@@ -92,7 +92,9 @@ class Plant:
         self._b = parameters.viscous / parameters.inertia
         self._lag = parameters.lag
         if self._lag and abs(self._b * self._lag - 1) < 1e-6:
-            self._lag *= 1 + 2e-6  # the two time constants coincide: the partial fractions need them apart
+            self._lag *= (
+                1 + 2e-6
+            )  # the two time constants coincide: the partial fractions need them apart
         self._cache: dict[float, _Propagator] = {}
 
     def advance(self, duration: float, command: float) -> None:
@@ -166,10 +168,10 @@ class Plant:
         transient = (self.torque - command) / p.inertia
         step = self._propagator(limit)
         end = velocity * step.decay + acceleration * step.a1 + transient * step.k1
-        if end * direction > 0 and not self._dips(limit, velocity, acceleration, transient, direction):
-            self.position += (
-                velocity * step.a1 + acceleration * step.a2 + transient * step.k2
-            )
+        if end * direction > 0 and not self._dips(
+            limit, velocity, acceleration, transient, direction
+        ):
+            self.position += velocity * step.a1 + acceleration * step.a2 + transient * step.k2
             self.velocity = end
             if self._lag:
                 self.torque = command + (self.torque - command) * step.lag_decay
@@ -288,4 +290,3 @@ class Plant:
         k1 = (lag_decay - decay) / slope
         k2 = (-lag * expm1(-time / lag) - a1) / slope
         return _Propagator(decay, a1, a2, lag_decay, k1, k2)
-

@@ -75,9 +75,7 @@ async def _serve(
                 await asyncio.wait_for(end.wait(), _POLL if clock == "wall" else 0.1)
 
 
-async def _modbus(
-    stack: contextlib.AsyncExitStack, device: Device, place: tuple[str, int]
-) -> str:
+async def _modbus(stack: contextlib.AsyncExitStack, device: Device, place: tuple[str, int]) -> str:
     from drivers.virtual.modbus_server import start_modbus_tcp
     from drivers.virtual.registers import RegisterMap
 
@@ -98,7 +96,9 @@ async def _canopen(
         server = SocketcandServer(bus)
         port = await server.start(*endpoints.socketcand)
         stack.push_async_callback(server.close)
-        links.append(f"canopen://socketcand/{_host(endpoints.socketcand[0])}:{port}/can0?node={NODE}")
+        links.append(
+            f"canopen://socketcand/{_host(endpoints.socketcand[0])}:{port}/can0?node={NODE}"
+        )
     if endpoints.slcan_pty:
         try:
             line = SlcanPty(bus)

@@ -45,9 +45,7 @@ class Samples:
     def of(cls, recorder: Recorder) -> Samples:
         """Columns of what was recorded."""
         fields = list(zip(*recorder.samples, strict=True)) or [()] * len(Sample._fields)
-        columns = {
-            name: np.array(fields[Sample._fields.index(name)], float) for name in _COLUMNS
-        }
+        columns = {name: np.array(fields[Sample._fields.index(name)], float) for name in _COLUMNS}
         if recorder.samples:
             begin = recorder.samples[0].sent
             columns["time"] -= begin

@@ -80,9 +80,7 @@ def feasible(first: LimitCycle, f_re: float, a2: float) -> bool:
     )
 
 
-def from_cycles(
-    first: LimitCycle, second: LimitCycle, sampling: float = 0.0
-) -> FrictionEstimate:
+def from_cycles(first: LimitCycle, second: LimitCycle, sampling: float = 0.0) -> FrictionEstimate:
     """Friction and offset from two limit cycles of (nearly) one period.
 
     The interval is the scatter of the half-swings and of the match of the periods, propagated

@@ -20,6 +20,7 @@ __all__ = ["Denied", "Firmware", "Reason", "State"]
 
 SECOND = 1_000_000_000  # ns
 _TICK = 250_000  # ns: period of the drive's own position and velocity loops
+_SUPERVISION = 1_000_000  # ns: how often the limits are looked at where no loop is closed
 _NEVER = 1 << 62
 _STORE_TIME = 20_000_000  # ns: the EEPROM is busy
 _BRAKE_RELEASE = 50_000_000  # ns
@@ -151,7 +152,8 @@ class Firmware:
         self._resolution = axis.resolution
         self._delay = round(axis.delay * SECOND)
         self._queue: deque[tuple[int, float]] = deque()
-        self._torque_command = 0.0  # in force at the motor, N.m or N
+        self._requested = 0.0  # torque command after the delay, N.m or N
+        self._torque_command = 0.0  # in force at the motor: behind the limits, N.m or N
         self._ramped = 0.0  # torque command behind the slope, N.m or N
         self._limiting = False
         self._timer = _NEVER
@@ -346,7 +348,8 @@ class Firmware:
         self._energised = True
         self._queue.clear()
         self._hold_here()
-        self._torque_command = self._ramped = self._clamped(self.values["torque_target"])
+        self._ramped = self._clamped(self.values["torque_target"])
+        self._requested = self._torque_command = self._ramped
         if self.axis.brake:
             self._start_timer(_BRAKE_RELEASE, self._operate)
         else:
@@ -389,7 +392,7 @@ class Firmware:
         self.state = state
         self._energised = False
         self._queue.clear()
-        self._torque_command = self._ramped = 0.0
+        self._requested = self._torque_command = self._ramped = 0.0
         self._limiting = False
         self._timer = _NEVER
         if self.axis.brake and was_loose:
@@ -429,7 +432,7 @@ class Firmware:
             if self._delay:
                 self._queue.append((self.now + self._delay, torque))
             else:
-                self._torque_command = torque
+                self._requested = self._torque_command = torque
 
     def _take_position(self, increments: int) -> None:
         target = increments * self._resolution
@@ -462,16 +465,18 @@ class Firmware:
             watchdog = self.values["watchdog_time"] * 1_000_000 if self._watched else 0
             if watchdog and self._energised and self._fed + watchdog < until:
                 until = max(self._fed + watchdog, self.now)
-            closed = self._energised and self._needs_loop()
-            if closed:
-                if self.now >= self._tick_at:
-                    self._tick()
-                until = min(until, self._tick_at)
+            if self._energised:
+                if self._needs_loop():
+                    if self.now >= self._tick_at:
+                        self._tick()
+                    until = min(until, self._tick_at)
+                else:
+                    until = min(until, self.now + _SUPERVISION)
             if until > self.now:
                 self.plant.advance((until - self.now) / SECOND, self._torque_command)
                 self.now = until
             if queue and queue[0][0] <= self.now:
-                self._torque_command = queue.popleft()[1]
+                self._requested = self._torque_command = queue.popleft()[1]
             if self._timer <= self.now:
                 self._timer = _NEVER
                 self._on_timer()
@@ -533,14 +538,13 @@ class Firmware:
             target = self._clamped(self.values["torque_target"])
             self._ramped += max(-most, min(most, target - self._ramped))
             self._queue.clear()
-            self._torque_command = self._ramped
-        limit, velocity = self._speed_limit, self.plant.velocity
-        excess = abs(velocity) - limit
-        if excess > 0:
-            self._limiting = True
-            braking = -self._loop.velocity_gain * excess * (1 if velocity > 0 else -1)
-            if self._torque_command * velocity > 0:
-                self._set_limited(braking)
+            self._requested = self._ramped
+        # speed limiter: no more torque along the motion than leads up to the limit
+        direction = 1 if self.plant.velocity > 0 else -1
+        room = self._loop.velocity_gain * (self._speed_limit - abs(self.plant.velocity))
+        along = min(direction * self._requested, room)
+        self._set_limited(direction * along)
+        self._limiting = self._limiting or along < direction * self._requested
 
     def _tick_stop(self) -> None:
         if abs(self.plant.velocity) <= _REST_SPEED_SHARE * self.axis.speed:

@@ -241,9 +241,10 @@ class Plant:
     ) -> float:
         """First time within `limit` s at which the velocity is zero."""
         if transient == 0.0:
-            if self._b == 0.0:
-                return min(-velocity / acceleration, limit)
-            return min(log1p(-self._b * velocity / acceleration) / self._b, limit)
+            time = -velocity / acceleration
+            x = self._b * time
+            # log(1 + x)/x, by its series where the quotient would lose its digits
+            return min(time * (log1p(x) / x if x > 1e-9 else 1 - x / 2), limit)
         low, high = 0.0, limit
         extremum = self._extremum(limit, velocity, acceleration, transient)
         if velocity == 0.0:

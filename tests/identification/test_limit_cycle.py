@@ -25,9 +25,7 @@ def test_period_half_swing_and_direction_of_parabolas(cycle: float) -> None:
 def test_the_fundamental_is_the_fourier_coefficient_of_the_whole_wave() -> None:
     time, position, command = CYCLE.sample(CYCLE.period / 4000, 3.0)
     whole = slice(0, 4000)
-    expected = 2 * abs(
-        np.mean(position[whole] * np.exp(-2j * np.pi * time[whole] / CYCLE.period))
-    )
+    expected = 2 * abs(np.mean(position[whole] * np.exp(-2j * np.pi * time[whole] / CYCLE.period)))
     periods = periods_of(time, position, command, reference=0.0)
     assert periods.fundamental[0] == pytest.approx(expected, rel=1e-3)
 

@@ -43,12 +43,12 @@ def test_equal_nonlinearities_give_back_the_friction_that_was_put_in(
 
 @pytest.mark.parametrize("f", [0.05, 0.08, 0.1])
 @pytest.mark.parametrize("ratio", [1.5, 2.0, 3.0])
-def test_on_a_rigid_axis_the_first_harmonic_is_good_to_a_few_percent(f: float, ratio: float) -> None:
+def test_on_a_rigid_axis_the_first_harmonic_is_good_to_a_few_percent(
+    f: float, ratio: float
+) -> None:
     first, second = matched(j=1e-3, f=f, d1=0.17, eps1=0.02, d2=0.17 * ratio)
     assert first.period == pytest.approx(second.period)
-    found = solve(
-        first.d, first.eps, first.half_swing, second.d, second.eps, second.half_swing
-    )
+    found = solve(first.d, first.eps, first.half_swing, second.d, second.eps, second.half_swing)
     assert abs(found) == pytest.approx(f, rel=0.06)
 
 

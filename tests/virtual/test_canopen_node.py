@@ -1,0 +1,159 @@
+"""The virtual CANopen node, frame by frame against the words of CiA 301."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.virtual.axes import AXES
+from drivers.virtual.canopen_node import CanopenNode
+from drivers.virtual.device import Device
+from drivers.virtual.firmware import Firmware
+
+MS = 1_000_000
+
+
+@pytest.fixture
+def node() -> CanopenNode:
+    return CanopenNode(Device(Firmware(AXES["bench"]), "step"), 5)
+
+
+def sdo(node: CanopenNode, request: str) -> str:
+    """One request by its bytes; the answer's bytes."""
+    answers = node.receive(0x605, bytes.fromhex(request))
+    assert [a.cob_id for a in answers] == [0x585]
+    return answers[0].data.hex(" ").upper()
+
+
+@pytest.mark.parametrize(
+    ("request_", "answer"),
+    [
+        # expedited upload of 1018h:1, four bytes: scs 2, n 0, e 1, s 1
+        ("40 18 10 01 00 00 00 00", "43 18 10 01 57 74 00 00"),
+        # expedited upload of 6041h, two bytes: n 2; switch on disabled, remote
+        ("40 41 60 00 00 00 00 00", "4B 41 60 00 40 02 00 00"),
+        # expedited upload of 6061h, one byte: n 3
+        ("40 61 60 00 00 00 00 00", "4F 61 60 00 00 00 00 00"),
+        # expedited download of 6060h = 10, one byte: ccs 1, n 3, e 1, s 1
+        ("2F 60 60 00 0A 00 00 00", "60 60 60 00 00 00 00 00"),
+        # no such object: 06020000h; no such sub-index: 06090011h
+        ("40 00 21 00 00 00 00 00", "80 00 21 00 00 00 02 06"),
+        ("40 18 10 09 00 00 00 00", "80 18 10 09 11 00 09 06"),
+        # read-only: 06010002h; wrong length: 06070010h; value out of range: 06090030h
+        ("2B 41 60 00 00 00 00 00", "80 41 60 00 02 00 01 06"),
+        ("23 60 60 00 0A 00 00 00", "80 60 60 00 10 00 07 06"),
+        ("2B 10 20 02 E9 03 00 00", "80 10 20 02 30 00 09 06"),
+        # unknown command specifier: 05040001h
+        ("E0 18 10 01 00 00 00 00", "80 18 10 01 01 00 04 05"),
+    ],
+)
+def test_sdo_expedited(node: CanopenNode, request_: str, answer: str) -> None:
+    assert sdo(node, request_) == answer
+
+
+def test_sdo_segmented_upload_of_the_device_name(node: CanopenNode) -> None:
+    # 1008h "tworelay virtual drive", 22 bytes: announced, then 7 + 7 + 7 + 1 with toggled bit
+    assert sdo(node, "40 08 10 00 00 00 00 00") == "41 08 10 00 16 00 00 00"
+    assert sdo(node, "60 00 00 00 00 00 00 00") == "00 74 77 6F 72 65 6C 61"
+    assert sdo(node, "70 00 00 00 00 00 00 00") == "10 79 20 76 69 72 74 75"
+    assert sdo(node, "60 00 00 00 00 00 00 00") == "00 61 6C 20 64 72 69 76"
+    assert sdo(node, "70 00 00 00 00 00 00 00") == "1D 65 00 00 00 00 00 00"
+
+
+def test_a_wrong_toggle_bit_aborts(node: CanopenNode) -> None:
+    sdo(node, "40 08 10 00 00 00 00 00")
+    assert sdo(node, "70 00 00 00 00 00 00 00") == "80 00 00 00 00 00 03 05"
+
+
+def test_sdo_segmented_download(node: CanopenNode) -> None:
+    # 6072h = 500 in one segment: ccs 0, n 5, c 1
+    assert sdo(node, "21 72 60 00 02 00 00 00") == "60 72 60 00 00 00 00 00"
+    assert sdo(node, "0B F4 01 00 00 00 00 00") == "20 00 00 00 00 00 00 00"
+    assert sdo(node, "40 72 60 00 00 00 00 00") == "4B 72 60 00 F4 01 00 00"
+
+
+def test_nmt_boot_up_and_heartbeat(node: CanopenNode) -> None:
+    assert node.receive(0x000, b"\x82\x05") == [(0x705, b"\x00")]
+    sdo(node, "2B 17 10 00 64 00 00 00")  # heartbeat every 100 ms
+    node.device.firmware.advance(100 * MS)
+    assert node.poll() == [(0x705, b"\x7f")]
+    node.receive(0x000, b"\x01\x05")
+    node.device.firmware.advance(100 * MS)
+    assert node.poll() == [(0x705, b"\x05")]
+    assert node.receive(0x000, b"\x01\x06") == [], "another node is meant"
+
+
+def map_pdos(node: CanopenNode) -> None:
+    """RPDO 1: controlword, target torque; TPDO 1: statusword, position, torque, every SYNC."""
+    for request in (
+        "23 00 14 01 05 02 00 80", "2F 00 14 02 FF 00 00 00", "2F 00 16 00 00 00 00 00",
+        "23 00 16 01 10 00 40 60", "23 00 16 02 10 00 71 60", "2F 00 16 00 02 00 00 00",
+        "23 00 14 01 05 02 00 00",
+        "23 00 18 01 85 01 00 80", "2F 00 18 02 01 00 00 00", "2F 00 1A 00 00 00 00 00",
+        "23 00 1A 01 10 00 41 60", "23 00 1A 02 20 00 64 60", "23 00 1A 03 10 00 77 60",
+        "2F 00 1A 00 03 00 00 00", "23 00 18 01 85 01 00 00",
+    ):  # fmt: skip
+        assert sdo(node, request).startswith("60"), request
+    node.receive(0x000, b"\x01\x05")
+
+
+def test_rpdo_in_sync_and_tpdo_out(node: CanopenNode) -> None:
+    map_pdos(node)
+    sdo(node, "2F 60 60 00 0A 00 00 00")
+    for word in (b"\x06\x00", b"\x07\x00", b"\x0f\x00"):
+        assert node.receive(0x205, word + b"\x00\x00") == []
+    node.receive(0x205, b"\x0f\x00\xf4\x01")  # 500 per mille
+    for _ in range(10):
+        frames = node.receive(0x080, b"")
+    assert [f.cob_id for f in frames] == [0x185]
+    status, position, torque = frames[0].data[:2], frames[0].data[2:6], frames[0].data[6:]
+    assert status == b"\x37\x12"
+    assert torque == b"\xf4\x01"
+    # 8 ms under 0.4 N.m net on 1e-3 kg.m2: 0.0128 rad of 131072 counts a turn
+    assert int.from_bytes(position, "little") == pytest.approx(267, abs=4)
+
+
+def test_mapping_rules(node: CanopenNode) -> None:
+    assert sdo(node, "2F 00 16 00 00 00 00 00") == "80 00 16 00 22 00 00 08", "the PDO is active"
+    sdo(node, "23 00 14 01 05 02 00 80")
+    sdo(node, "2F 00 16 00 00 00 00 00")
+    assert sdo(node, "23 00 16 01 10 00 99 60") == "80 00 16 01 41 00 04 06", "no such object"
+    for sub in (1, 2, 3):
+        sdo(node, f"23 00 16 0{sub} 20 00 7A 60")
+    assert sdo(node, "2F 00 16 00 03 00 00 00") == "80 00 16 00 42 00 04 06", "12 bytes"
+
+
+def test_a_silent_heartbeat_stops_the_drive_with_an_emergency(node: CanopenNode) -> None:
+    map_pdos(node)
+    sdo(node, "23 16 10 01 32 00 7F 00")  # node 127 every 50 ms
+    sdo(node, "2B 07 60 00 01 00 00 00")
+    sdo(node, "2F 60 60 00 0A 00 00 00")
+    for word in (b"\x06\x00", b"\x07\x00", b"\x0f\x00"):
+        node.receive(0x205, word + b"\x00\x00")
+    node.receive(0x77F, b"\x05")
+    node.device.firmware.advance(60 * MS)
+    assert node.poll() == [(0x085, b"\x30\x81\x11\x00\x00\x00\x00\x00")]
+    node.device.firmware.advance(60 * MS)
+    assert not node.device.firmware.energised
+
+
+def test_a_silent_rpdo_stops_the_drive(node: CanopenNode) -> None:
+    map_pdos(node)
+    sdo(node, "2B 00 14 05 14 00 00 00")  # event timer 20 ms
+    sdo(node, "2F 60 60 00 0A 00 00 00")
+    for word in (b"\x06\x00", b"\x07\x00", b"\x0f\x00"):
+        node.receive(0x205, word + b"\x00\x00")
+    assert node.device.firmware.energised
+    node.device.firmware.advance(25 * MS)
+    assert node.poll()[0].data[:2] == b"\x50\x82"
+    node.device.firmware.advance(60 * MS)
+    assert not node.device.firmware.energised
+
+
+def test_a_short_rpdo_is_reported_and_not_taken(node: CanopenNode) -> None:
+    map_pdos(node)
+    assert node.receive(0x205, b"\x06") == [(0x085, b"\x10\x82\x11\x00\x00\x00\x00\x00")]
+
+
+@pytest.mark.parametrize("data", [b"", b"\x40", b"\x40\x18\x10", bytes(9)])
+def test_malformed_requests_get_no_answer(node: CanopenNode, data: bytes) -> None:
+    assert node.receive(0x605, data) == []

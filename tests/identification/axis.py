@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,7 @@ class Parabolas:
         d, f = self.d, self.f
         return 4 * sqrt(2 * self.half_swing * self.j * d / (d * d - f * f))
 
-    def sample(self, cycle: float, periods: float) -> tuple[NDArray[np.float64], ...]:
+    def sample(self, cycle: float, periods: float) -> tuple[NDArray[Any], ...]:
         """Time, position and command, sampled."""
         n = round(periods * self.period / cycle)
         time = np.arange(n) * cycle

@@ -1,0 +1,123 @@
+"""One suite for every link: in process, Modbus TCP, socketcand, slcan, python-can virtual."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterator
+
+import pytest
+
+from drivers.drive import Drive
+from drivers.link import axis_of, open_drive
+from drivers.virtual.axes import AXES
+from drivers.virtual.device import Device
+from drivers.virtual.firmware import Firmware
+from profiles.errors import AccessDenied, PreflightRefused, UnknownName, WriteFailed
+from profiles.schema import Mode
+from tests.conftest import WIRES, Serve
+
+CYCLE = 0.002
+
+
+@pytest.fixture(params=["virtual", "can-virtual", *WIRES])
+def drive(request: pytest.FixtureRequest) -> Iterator[Drive]:
+    if request.param == "virtual":
+        opened = open_drive(axis_of("virtual://bench"), cycle=CYCLE)
+        yield opened
+        opened.close()
+    elif request.param == "can-virtual":
+        from drivers.virtual.can_channel import CanChannel
+        from drivers.virtual.canopen_node import CanopenNode
+
+        name = uuid.uuid4().hex
+        channel = CanChannel(CanopenNode(Device(Firmware(AXES["bench"]), "step"), 5), name)
+        opened = open_drive(axis_of(f"canopen://virtual/{name}?node=5&clock=step"), cycle=CYCLE)
+        yield opened
+        opened.close()
+        channel.close()
+    else:
+        serve: Serve = request.getfixturevalue("serve")
+        link = serve("bench", *WIRES[request.param], "--clock", "step")[0]
+        opened = open_drive(axis_of(link), cycle=CYCLE)
+        yield opened
+        opened.close()
+
+
+def test_the_whole_life_of_a_drive(drive: Drive) -> None:
+    identity = drive.identity()
+    assert identity.serial == f"0x{AXES['bench'].serial:08X}"
+    assert drive.read("rated_torque") == pytest.approx(1.0)
+    assert not drive.is_energised()
+
+    # parameters: SI in and out, read back, stored
+    drive.write("coulomb_positive", 0.0871)
+    assert drive.read("coulomb_positive") == pytest.approx(0.087)
+    drive.store()
+    with pytest.raises(WriteFailed, match="outside"):
+        drive.write("coulomb_positive", 5.0)
+    with pytest.raises(WriteFailed, match="protection"):
+        drive.write_raw("controlword", 15)
+    with pytest.raises(UnknownName):
+        drive.read("no_such_parameter")
+
+    # watchdog armed, energy, cycle
+    for name, raw in drive.watchdog_settings().items():
+        drive.write_raw(name, raw)
+    drive.enable(Mode.TORQUE)
+    times = []
+    for _ in range(20):
+        sample = drive.exchange(0.3)
+        times.append(sample.time)
+        assert sample.status.enabled
+        assert sample.command == pytest.approx(0.3)
+    assert sample.torque == pytest.approx(0.3, abs=1e-3)
+    # (0.3 - 0.1) N.m on 1e-3 kg.m2 for 38 ms after the delay of 2 ms
+    assert sample.position == pytest.approx(0.5 * 200 * 0.038**2, rel=0.05)
+    assert [b - a for a, b in zip(times, times[1:], strict=False)] == pytest.approx([CYCLE] * 19)
+    assert 0 <= sample.time - sample.sent <= CYCLE + 1e-9
+
+    # the stop path ends at rest, de-energised, and says so
+    report = drive.stop()
+    assert report.deenergised
+    assert not report.failures
+    at_rest = drive.read("position_actual")
+    drive.wait(0.1)
+    assert drive.read("position_actual") == at_rest
+
+    # position mode holds where it was enabled
+    drive.enable(Mode.POSITION)
+    for n in range(100):
+        sample = drive.exchange(at_rest + 0.001 * n)
+    assert sample.position == pytest.approx(at_rest + 0.1, abs=0.03)
+    drive.disable()
+    assert not drive.is_energised()
+
+    # silence: the drive stops by itself
+    drive.enable(Mode.TORQUE)
+    for _ in range(5):
+        drive.exchange(0.2)
+    drive.wait(0.2)
+    assert not drive.is_energised()
+    assert "81" in drive.status_text(), "the error code of a lost master"
+
+
+def test_a_drive_in_fault_is_not_enabled_and_resets_without_energy(drive: Drive) -> None:
+    settings = drive.watchdog_settings()
+    drive.write_raw("watchdog_time", settings["watchdog_time"])
+    drive.write_raw("abort_connection_option", 1)
+    drive.enable(Mode.TORQUE)
+    drive.exchange(0.0)
+    drive.wait(0.3)
+    assert drive.in_fault()
+    with pytest.raises(PreflightRefused, match="in fault"):
+        drive.enable(Mode.TORQUE)
+    drive.reset_fault()
+    assert not drive.in_fault()
+    assert not drive.is_energised()
+
+
+def test_what_the_drive_refuses_comes_back_as_a_refusal(drive: Drive) -> None:
+    drive.enable(Mode.TORQUE)
+    with pytest.raises(AccessDenied):
+        drive.store()  # not while enabled
+    drive.stop()

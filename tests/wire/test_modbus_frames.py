@@ -1,0 +1,144 @@
+"""What goes over Modbus TCP, byte for byte against the Modbus Application Protocol V1.1b3."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from drivers.modbus.bus import ModbusBus
+from drivers.modbus.client import Client, NoAnswer
+from drivers.pace import WallPace
+from profiles.errors import AccessDenied, LinkError, LinkLost
+from profiles.library import load_profile
+
+
+@contextmanager
+def peer(script: list[tuple[str, str]]) -> Iterator[tuple[int, list[str]]]:
+    """A server that expects requests and gives the answers, all as hex; '' answers nothing."""
+    heard: list[str] = []
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        connection, _ = listener.accept()
+        with connection:
+            for _, answer in script:
+                data = connection.recv(300)
+                heard.append(data.hex(" "))
+                if answer:
+                    connection.sendall(bytes.fromhex(answer))
+            connection.settimeout(5)
+            while connection.recv(300):
+                pass
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield listener.getsockname()[1], heard
+    finally:
+        thread.join()
+        listener.close()
+    assert heard == [request for request, _ in script]
+
+
+def test_read_holding_registers() -> None:
+    # MBAP: transaction 1, protocol 0, length 6, unit 1; FC 03, address 0300h, 2 registers
+    script = [("00 01 00 00 00 06 01 03 03 00 00 02", "00 01 00 00 00 07 01 03 04 00 0F 42 40")]
+    with peer(script) as (port, _):
+        client = Client("127.0.0.1", port, 1, 1.0)
+        assert client.read(3, 0x0300, 2) == [0x000F, 0x4240]
+        client.close()
+
+
+def test_write_single_and_multiple_registers() -> None:
+    script = [
+        ("00 01 00 00 00 06 01 06 01 10 00 0f", "00 01 00 00 00 06 01 06 01 10 00 0F"),
+        (
+            "00 02 00 00 00 0b 01 10 03 12 00 02 04 00 00 0b b8",
+            "00 02 00 00 00 06 01 10 03 12 00 02",
+        ),
+    ]
+    with peer(script) as (port, _):
+        client = Client("127.0.0.1", port, 1, 1.0)
+        client.write(6, 0x0110, [0x000F])
+        client.write(16, 0x0312, [0, 3000])
+        client.close()
+
+
+def test_the_cycle_is_one_fc_23_with_the_profile_s_blocks() -> None:
+    # read 0200h..0204h (5), write 0100h..0102h (3): torque -250 per mille, position 0
+    request = "00 01 00 00 00 11 01 17 02 00 00 05 01 00 00 03 06 ff 06 00 00 00 00"
+    # statusword 1237h, error 0, position -2, torque -249
+    answer = "00 01 00 00 00 0D 01 17 0A 12 37 00 00 FF FF FF FE FF 07"
+    with peer([(request, answer)]) as (port, _):
+        client = Client("127.0.0.1", port, 1, 1.0)
+        bus = ModbusBus(client, load_profile("virtual-modbus"), WallPace(0.005))
+        found = bus.exchange((-250, 0))
+        assert found.values == (0x1237, 0, -2, -249)
+        assert found.missed == 0
+        bus.close()
+
+
+def test_an_exception_answer_is_a_refusal_with_its_name() -> None:
+    script = [("00 01 00 00 00 06 01 03 99 99 00 01", "00 01 00 00 00 03 01 83 02")]
+    with peer(script) as (port, _):
+        client = Client("127.0.0.1", port, 1, 1.0)
+        with pytest.raises(AccessDenied, match=r"exception 2 \(illegal data address\)"):
+            client.read(3, 0x9999, 1)
+        client.close()
+
+
+def test_silence_is_no_answer_and_is_never_sent_again() -> None:
+    with peer([("00 01 00 00 00 06 01 03 00 00 00 01", "")]) as (port, heard):
+        client = Client("127.0.0.1", port, 1, 0.05)
+        with pytest.raises(NoAnswer, match="does not answer within 50 ms"):
+            client.read(3, 0, 1)
+        assert len(heard) == 1
+        client.close()
+
+
+def test_a_late_answer_is_discarded_by_its_transaction() -> None:
+    script = [
+        ("00 01 00 00 00 06 01 03 00 00 00 01", ""),
+        (
+            "00 02 00 00 00 06 01 03 00 00 00 01",
+            "00 01 00 00 00 05 01 03 02 AA AA 00 02 00 00 00 05 01 03 02 BB BB",
+        ),
+    ]
+    with peer(script) as (port, _):
+        client = Client("127.0.0.1", port, 1, 0.05)
+        with pytest.raises(NoAnswer):
+            client.read(3, 0, 1)
+        assert client.read(3, 0, 1, 1.0) == [0xBBBB]
+        client.close()
+
+
+def test_garbage_is_said_to_be_no_modbus() -> None:
+    script = [("00 01 00 00 00 06 01 03 00 00 00 01", b"SSH-2.0-OpenSSH_9.2\r\n".hex())]
+    with peer(script) as (port, _):
+        client = Client("127.0.0.1", port, 1, 0.1)
+        with pytest.raises(LinkError, match="is it a Modbus port"):
+            client.read(3, 0, 1)
+        client.close()
+
+
+def test_three_silent_cycles_are_a_lost_link() -> None:
+    request = "00 {:02x} 00 00 00 11 01 17 02 00 00 05 01 00 00 03 06 00 64 00 00 00 00"
+    script = [(request.format(n), "") for n in (1, 2, 3)]
+    with peer(script) as (port, _):
+        bus = ModbusBus(
+            Client("127.0.0.1", port, 1, 1.0), load_profile("virtual-modbus"), WallPace(0.02)
+        )
+        with pytest.raises(LinkLost, match="no answer for 3 cycles of 20 ms"):
+            bus.exchange((100, 0))
+        bus.close()
+
+
+def test_nobody_there_is_said_plainly() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    with pytest.raises(LinkError, match=f"cannot connect to 127.0.0.1:{port}"):
+        Client("127.0.0.1", port, 1, 0.5)

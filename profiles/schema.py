@@ -7,9 +7,9 @@ procedures of the drive. It can name only parameters, never code. An unknown key
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
 __all__ = [
     "Address",
@@ -78,6 +78,12 @@ class ModbusAddress(_Strict):
 Address = CanopenAddress | ModbusAddress
 
 
+def _bus_of_address(value: Any) -> str:
+    """An address with an index is CANopen's, any other is Modbus'."""
+    index = value.get("index") if isinstance(value, dict) else getattr(value, "index", None)
+    return "modbus" if index is None else "canopen"
+
+
 class Unit(StrEnum):
     """What a raw value times its scale is measured in, before the drive's own bases are applied."""
 
@@ -127,7 +133,10 @@ class Parameter(_Strict):
     `minimum` and `maximum` are raw, `forbidden` lists raw values that must never be written.
     """
 
-    address: Annotated[CanopenAddress | ModbusAddress, Field(union_mode="left_to_right")]
+    address: Annotated[
+        Annotated[CanopenAddress, Tag("canopen")] | Annotated[ModbusAddress, Tag("modbus")],
+        Discriminator(_bus_of_address),
+    ]
     title: str
     unit: Unit = Unit.NONE
     scale: float = 1.0

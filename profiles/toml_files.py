@@ -14,6 +14,7 @@ from profiles.errors import ProfileError
 
 __all__ = ["load_model", "parse_model"]
 
+_TAGS = ("canopen", "modbus")  # of addresses, told apart by their keys
 _LARGEST = 1_000_000  # bytes; a profile has some kilobytes
 
 M = TypeVar("M", bound=BaseModel)
@@ -49,9 +50,7 @@ def _explain(error: ValidationError, model: type[BaseModel]) -> str:
     """First finding in words: section, key, what is wrong, what is allowed."""
     details = error.errors(include_url=False)
     chosen = next((d for d in details if d["type"] == "extra_forbidden"), details[0])
-    path = [
-        str(part) for part in chosen["loc"] if str(part) not in ("CanopenAddress", "ModbusAddress")
-    ]
+    path = [str(part) for part in chosen["loc"] if str(part) not in _TAGS]
     section, key = ".".join(path[:-1]), path[-1] if path else ""
     where = f"[{section}] {key}" if section else key
     more = f" (and {len(details) - 1} more)" if len(details) > 1 and not section else ""
@@ -76,7 +75,7 @@ def _allowed_keys(model: type[BaseModel], path: list[str]) -> list[str]:
             by_alias = {(f.alias or n): f.annotation for n, f in current.model_fields.items()}
             current = by_alias.get(part, current)
         models = _models_in(current)
-        named = [m for m in models if m.__name__ == part]
+        named = [m for m in models if m.__name__.lower().startswith(part)]
         current = (named or models or [current])[0]
     if isinstance(current, type) and issubclass(current, BaseModel):
         return sorted(f.alias or n for n, f in current.model_fields.items())

@@ -11,14 +11,16 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from drivers.sample import Sample
+from profiles.errors import PreflightRefused
 
-__all__ = ["Context", "Plan", "come_to_rest", "hold"]
+__all__ = ["Context", "Plan", "come_to_rest", "stand"]
 
 T = TypeVar("T")
 Plan = Generator[float, Sample, T]
 
 _REST_SAMPLES = 8
 _REST_TIME = 0.02  # s
+_STAND_TIME = 0.15  # s
 
 
 def _silent(text: str) -> None:
@@ -61,13 +63,20 @@ class Context:
         return max(5 * self.resolution, self.travel / 5000)
 
 
-def hold(torque: float, seconds: float) -> Plan[Sample]:
-    """Command `torque` for `seconds`; return the last sample."""
-    sample = yield torque
-    end = sample.time + seconds
-    while sample.time < end:
-        sample = yield torque
-    return sample
+def stand(context: Context) -> Plan[None]:
+    """See that the axis stays where it is under the rest torque; raises PreflightRefused."""
+    sample = yield context.rest
+    begin = sample
+    while sample.time - begin.time < _STAND_TIME:
+        sample = yield context.rest
+        moved = sample.position - begin.position
+        if abs(moved) > context.motion:
+            raise PreflightRefused(
+                f"the axis does not stay at rest with {context.rest:.4g} {context.effort_unit}: it "
+                f"moved {moved:+.3g} {context.position_unit} within "
+                f"{sample.time - begin.time:.3g} s. If a load pulls it, declare its brake, "
+                "counterbalance or fixture in an axis file ([mechanics] held_by)"
+            )
 
 
 def come_to_rest(torque: float, context: Context, within: float = 5.0) -> Plan[Sample]:

@@ -174,11 +174,11 @@ def two_relay(
     test.relay.amplitude = min(plan.d2, context.torque - abs(test.relay.bias) - _one_step(context))
     friction = min(known.coulomb, 0.9 * plan.d1)
     ratio = (1 - (friction / plan.d2) ** 2) / (1 - (friction / plan.d1) ** 2)
-    # delay lowers the ratio, and from below the larger swing cannot overshoot the travel
-    test.relay.hysteresis = _FROM_BELOW * first.hysteresis * ratio
     if solver == "thesis":
         second, span, tests = yield from _match_by_rule(test, first, k_epsilon)
     else:
+        # delay lowers the ratio, and from below the larger swing cannot overshoot the travel
+        test.relay.hysteresis = _FROM_BELOW * first.hysteresis * ratio
         second, span, tests = yield from _match_by_bracket(test, first)
     yield from _end_at_reversal(test)
     return TwoRelay(first, second, first_span, span, tests, test.periods_run)

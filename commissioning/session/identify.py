@@ -11,7 +11,7 @@ from commissioning.envelope import Envelope
 from commissioning.experiments.approach import approach
 from commissioning.experiments.creep import balancing_torque
 from commissioning.experiments.first_look import FirstLook, first_look
-from commissioning.experiments.plan import Context, Plan
+from commissioning.experiments.plan import Context, Plan, stand
 from commissioning.experiments.stopping import Stopping, run_up
 from commissioning.experiments.two_relay import RelayDesign, Solver, TwoRelay, design, two_relay
 from commissioning.identification.two_relay import Estimate, FrictionEstimate, from_cycles
@@ -250,6 +250,8 @@ class _Job:
     def _experiments(self) -> _Measured:
         rest = self._holding_torque() if self.axis.mechanics.held_by != "friction" else 0.0
         self.context = replace(self.context, rest=rest)
+        self.recorder.phase("does the axis stay at rest?")
+        self._run(stand(self.context), rest)
         prove_watchdog(
             self.drive, rest, self.desk.interruption, self.recorder.phase,
             without=self.options.without_watchdog,

@@ -19,6 +19,7 @@ __all__ = ["Limits", "choose_limits", "look", "prove_watchdog", "set_limits", "w
 
 _AT_REST_COUNTS = 3
 _LOOK = 0.05  # s
+_FEWEST_COUNTS = 500  # of travel
 _PROOF_CYCLES = 5
 
 
@@ -80,6 +81,13 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
         raise UsageError(
             f"how far may the axis move? Give --travel ±X in {axis.position_unit} about the "
             "present position, or an axis file with travel"
+        )
+    count = drive.scaling.step(drive.profile.parameters["position_actual"])
+    if travel < _FEWEST_COUNTS * count:
+        raise PreflightRefused(
+            f"the travel of ±{travel:.4g} {axis.position_unit} is too small: it is "
+            f"{travel / count:.0f} encoder counts, and a measurement needs {_FEWEST_COUNTS}; give "
+            "more --travel"
         )
     mechanics = axis.mechanics
     rated = drive.scaling.rated_torque * mechanics.effort_per_torque

@@ -24,14 +24,18 @@ def test_a_gear_divides_travel_and_multiplies_torque() -> None:
     geared = Scaling(1.27, 131072, Mechanics(gear=10))
     assert geared.to_si(PARAMETERS["position_actual"], 131072) == pytest.approx(2 * math.pi / 10)
     assert geared.to_si(PARAMETERS["torque_target"], 1000) == pytest.approx(12.7)
-    assert geared.to_si(PARAMETERS["max_speed"], 30000) == pytest.approx(3000 / 60 * 2 * math.pi / 10)
+    assert geared.to_si(PARAMETERS["max_speed"], 30000) == pytest.approx(
+        3000 / 60 * 2 * math.pi / 10
+    )
 
 
 def test_a_screw_makes_metres_and_newtons() -> None:
     screw = Scaling(1.27, 131072, Mechanics(motion="linear", feed=0.01))
     assert screw.to_si(PARAMETERS["position_actual"], 131072) == pytest.approx(0.01)
     # 1.27 N.m on a 10 mm screw: 2 pi / 0.01 per metre
-    assert screw.to_si(PARAMETERS["torque_target"], 1000) == pytest.approx(1.27 * 2 * math.pi / 0.01)
+    assert screw.to_si(PARAMETERS["torque_target"], 1000) == pytest.approx(
+        1.27 * 2 * math.pi / 0.01
+    )
     assert screw.unit_text(PARAMETERS["torque_target"]) == "N"
     # 1e-5 rated per rad/s of the motor, as N.s/m
     expected = 1e-5 * 1.27 * (2 * math.pi / 0.01) ** 2

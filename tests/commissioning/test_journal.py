@@ -1,0 +1,142 @@
+"""The journal and what restore makes of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from commissioning.journal import Journal
+from commissioning.settings import Settings, put_back
+from drivers.drive import Drive
+from drivers.link import axis_of, open_drive
+from profiles.errors import JournalError, LinkLost, UnknownName, UsageError
+
+
+@pytest.fixture
+def journal(tmp_path: Path) -> Iterator[Journal]:
+    with Journal(tmp_path / "journal") as opened:
+        yield opened
+
+
+@pytest.fixture
+def drive() -> Iterator[Drive]:
+    opened = open_drive(axis_of("virtual://bench"))
+    yield opened
+    opened.close()
+
+
+def begin(journal: Journal, serial: str = "1") -> str:
+    return journal.begin(
+        axis="bench", link="virtual://bench", profile="p", profile_hash="h", serial=serial,
+        context={"axis": {}},
+    )  # fmt: skip
+
+
+def test_an_intent_is_there_before_the_write_and_says_how_far_it_got(
+    journal: Journal, drive: Drive
+) -> None:
+    run = begin(journal)
+    settings = Settings(journal, run, drive)
+    assert settings.write("compensation", "coulomb_positive", 87)
+    assert not settings.write("compensation", "coulomb_positive", 87), "it had it already"
+    (intent,) = journal.intents(run)
+    assert (intent.old, intent.new, intent.state) == (0, 87, "verified")
+
+
+def test_a_write_that_fails_leaves_its_intent_open(journal: Journal, drive: Drive) -> None:
+    run = begin(journal)
+    settings = Settings(journal, run, drive)
+
+    def dead(name: str, raw: int) -> None:
+        raise LinkLost("cable")
+
+    drive.write_raw = dead  # type: ignore[method-assign]
+    with pytest.raises(LinkLost):
+        settings.write("experiment", "max_torque", 500)
+    (intent,) = journal.intents(run, open_only=True)
+    assert intent.state == "intended"
+    assert journal.unfinished("1") == [run]
+
+
+def test_restore_goes_back_to_the_oldest_value(journal: Journal, drive: Drive) -> None:
+    run = begin(journal)
+    settings = Settings(journal, run, drive)
+    for value in (50, 60, 70):
+        settings.write("compensation", "coulomb_positive", value)
+    outcome = put_back(drive, journal, journal.intents(run, open_only=True))
+    assert outcome.restored == ["coulomb_positive"]
+    assert drive.read_raw("coulomb_positive") == 0
+    assert journal.intents(run, open_only=True) == []
+
+
+def test_restore_leaves_somebody_else_s_value_alone(journal: Journal, drive: Drive) -> None:
+    run = begin(journal)
+    Settings(journal, run, drive).write("compensation", "coulomb_positive", 50)
+    drive.write_raw("coulomb_positive", 99)
+    intents = journal.intents(run, open_only=True)
+    outcome = put_back(drive, journal, intents)
+    assert not outcome.complete
+    assert "neither the old 0 nor" in str(outcome)
+    assert drive.read_raw("coulomb_positive") == 99
+    assert put_back(drive, journal, intents, force=True).complete
+    assert drive.read_raw("coulomb_positive") == 0
+
+
+def test_restore_on_a_dead_link_names_every_parameter(journal: Journal, drive: Drive) -> None:
+    run = begin(journal)
+    settings = Settings(journal, run, drive)
+    settings.write("experiment", "max_torque", 500)
+    settings.write("experiment", "watchdog_time", 20)
+
+    def dead(name: str) -> int:
+        raise LinkLost("cable")
+
+    drive.read_raw = dead  # type: ignore[method-assign]
+    outcome = settings.restore()
+    assert set(outcome.failed) == {"max_torque", "watchdog_time"}
+
+
+def test_the_last_run_and_the_last_with_anything_to_restore(journal: Journal, drive: Drive) -> None:
+    with pytest.raises(UnknownName):
+        journal.run("last")
+    first = begin(journal)
+    Settings(journal, first, drive).write("compensation", "coulomb_positive", 50)
+    second = begin(journal)
+    assert journal.run("last").id == second
+    assert journal.last_open() == first
+    with pytest.raises(UnknownName, match=first):
+        journal.run("nosuch")
+
+
+def test_a_run_moves_to_another_machine(journal: Journal, drive: Drive, tmp_path: Path) -> None:
+    run = begin(journal)
+    Settings(journal, run, drive).write("compensation", "coulomb_positive", 50)
+    journal.note(run, "a note")
+    tree = json.loads(json.dumps(journal.export(run)))
+    with Journal(tmp_path / "other") as other:
+        assert other.adopt(tree, "x") == run
+        assert other.adopt(tree, "x") == run, "twice is once"
+        intents = other.intents(run, open_only=True)
+        assert [(i.parameter, i.old, i.new) for i in intents] == [("coulomb_positive", 0, 50)]
+
+
+@pytest.mark.parametrize("tree", [None, [], {}, {"schema": "tworelay.journal/1"}, {"schema": 5}])
+def test_what_is_no_exported_run_is_refused(journal: Journal, tree: object) -> None:
+    with pytest.raises(UsageError, match="no exported run"):
+        journal.adopt(tree, "x.json")
+
+
+def test_a_journal_that_cannot_be_written_says_so(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    with pytest.raises(JournalError, match="cannot be written"):
+        Journal(blocked / "home")
+
+
+def test_a_damaged_journal_says_so(tmp_path: Path) -> None:
+    (tmp_path / "journal.sqlite").write_bytes(b"this is no database" * 100)
+    with pytest.raises(JournalError):
+        Journal(tmp_path)

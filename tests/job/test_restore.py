@@ -1,0 +1,99 @@
+"""Apply and restore across a kill between any two steps."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from drivers.link import axis_of, open_drive
+from tests.conftest import ROOT, WIRES, Serve, Tworelay
+
+KILLED_APPLY = textwrap.dedent(
+    """
+    import os, sys
+    from commissioning import settings
+    from commissioning.journal import Journal
+    from drivers.profiled import ProfiledDrive
+
+    steps = 0
+    def counted(original):
+        def step(*arguments, **keywords):
+            global steps
+            steps += 1
+            if steps == int(sys.argv[1]):
+                os._exit(99)  # no finally, no flush: as a power cut of the computer
+            result = original(*arguments, **keywords)
+            steps += 1
+            if steps == int(sys.argv[1]):
+                os._exit(99)
+            return result
+        return step
+
+    Journal.intend = counted(Journal.intend)
+    Journal.settle = counted(Journal.settle)
+    ProfiledDrive.write_raw = counted(ProfiledDrive.write_raw)
+    ProfiledDrive.store = counted(ProfiledDrive.store)
+    sys.argv = ["tworelay", "apply", "last", "--yes"]
+    from commissioning.cli import main
+    main()
+    """
+)
+KILLED_APPLY = KILLED_APPLY.replace("int(sys.argv[1])", "LIMIT").replace(
+    "import os, sys", "import os, sys\nLIMIT = int(sys.argv[1])"
+)
+
+
+@pytest.mark.parametrize("step", range(1, 15))
+def test_killed_at_any_step_of_apply_restore_brings_the_old_values_back(
+    tworelay: Tworelay, serve: Serve, step: int
+) -> None:
+    link = serve("bench", *WIRES["modbus-tcp"], "--clock", "step")[0]
+    assert tworelay("identify", link, "--travel", "3", "--yes").returncode == 0
+    killed = subprocess.run(
+        [sys.executable, "-c", KILLED_APPLY, str(step)], cwd=ROOT, env=os.environ,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert killed.returncode == 99, (killed.stdout, killed.stderr)
+    drive = open_drive(axis_of(link))
+    changed = any(drive.read_raw(n) for n in ("coulomb_positive", "coulomb_negative"))
+    drive.close()
+    restored = tworelay("restore")
+    if changed:
+        assert restored.returncode == 0, restored.stderr
+    drive = open_drive(axis_of(link))
+    assert drive.read_raw("coulomb_positive") == drive.read_raw("coulomb_negative") == 0
+    drive.close()
+
+
+def test_restore_refuses_a_value_that_somebody_changed_since(
+    tworelay: Tworelay, serve: Serve
+) -> None:
+    link = serve("bench", *WIRES["modbus-tcp"], "--clock", "step")[0]
+    assert tworelay("commission", link, "--travel", "3", "--yes").returncode == 0
+    drive = open_drive(axis_of(link))
+    drive.write_raw("coulomb_positive", 42)
+    drive.close()
+    refused = tworelay("restore")
+    assert refused.returncode == 7
+    assert "skipped coulomb_positive (it reads 42" in refused.stderr
+    assert tworelay("restore", "--force").returncode == 0
+
+
+def test_an_exported_run_is_a_run(
+    tworelay: Tworelay, serve: Serve, tmp_path: os.PathLike[str]
+) -> None:
+    link = serve("bench", *WIRES["modbus-tcp"], "--clock", "step")[0]
+    assert tworelay("commission", link, "--travel", "3", "--yes").returncode == 0
+    folder = os.path.join(tmp_path, "exported")  # noqa: PTH118
+    exported = tworelay("export", "last", folder)
+    assert exported.returncode == 0
+    assert "samples.csv" in exported.stdout
+    elsewhere = {"TWORELAY_HOME": os.path.join(tmp_path, "elsewhere")}  # noqa: PTH118
+    assert tworelay("report", folder, environment=elsewhere).returncode == 0
+    restored = tworelay("restore", folder, environment=elsewhere)
+    assert restored.returncode == 0, restored.stderr
+    assert "restored coulomb_negative, coulomb_positive" in restored.stdout

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Iterator
+from itertools import pairwise
 
 import pytest
 
@@ -73,7 +74,7 @@ def test_the_whole_life_of_a_drive(drive: Drive) -> None:
     assert sample.torque == pytest.approx(0.3, abs=1e-3)
     # (0.3 - 0.1) N.m on 1e-3 kg.m2 for 38 ms after the delay of 2 ms
     assert sample.position == pytest.approx(0.5 * 200 * 0.038**2, rel=0.05)
-    assert [b - a for a, b in zip(times, times[1:], strict=False)] == pytest.approx([CYCLE] * 19)
+    assert [b - a for a, b in pairwise(times)] == pytest.approx([CYCLE] * 19)
     assert 0 <= sample.time - sample.sent <= CYCLE + 1e-9
 
     # the stop path ends at rest, de-energised, and says so

@@ -1,0 +1,196 @@
+"""make bench: measure, and write the tables beside this file."""
+
+from __future__ import annotations
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE.parent))
+
+from commissioning.interruption import Interruption  # noqa: E402
+from commissioning.journal import Journal  # noqa: E402
+from commissioning.session import identify as session  # noqa: E402
+from commissioning.session.desk import Desk, Options  # noqa: E402
+from drivers.link import axis_of, open_drive  # noqa: E402
+from drivers.virtual.axes import AXES  # noqa: E402
+from profiles.schema import Mode  # noqa: E402
+
+WIRES = {
+    "Modbus TCP": ("--modbus-tcp", "127.0.0.1:0"),
+    "socketcand": ("--socketcand", "127.0.0.1:0"),
+    "slcan pty": ("--slcan", "pty"),
+}
+CYCLES = (0.001, 0.002, 0.004, 0.005, 0.010)
+
+
+def measure(link: str, cycle: float, travel: float | None = None) -> dict[str, Any]:
+    with Journal(Path(os.environ["TWORELAY_HOME"])) as journal, Interruption() as interruption:
+        desk = Desk(journal, interruption, lambda text: None, lambda question, word: True)
+        return session.identify(axis_of(link), Options(cycle=cycle, travel=travel), desk)
+
+
+def serve(*arguments: str) -> tuple[subprocess.Popen[str], str]:
+    command = [sys.executable, "-m", "commissioning", "virtual", "serve", "bench", *arguments]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=HERE.parent)
+    assert server.stdout is not None
+    return server, server.stdout.readline().strip()
+
+
+def error_of(result: dict[str, Any], truth: float) -> str:
+    return f"{100 * (result['friction']['coulomb']['value'] / truth - 1):+.1f} %"
+
+
+def accuracy() -> list[str]:
+    """Error of |f| by (4.16) on every axis and over every wire."""
+    lines = [
+        "# Error of the Coulomb friction by `two-relay` (4.16)",
+        "",
+        "Written by `make bench`. Against the friction of the virtual axis; – where the job was refused.",
+        "",
+        "| in process | " + " | ".join(f"{cycle * 1000:g} ms" for cycle in CYCLES) + " |",
+        "| --- |" + " --- |" * len(CYCLES),
+    ]
+    for name, axis in AXES.items():
+        cells = []
+        for cycle in CYCLES:
+            try:
+                cells.append(error_of(measure(f"virtual://{name}", cycle), axis.coulomb))
+            except session.Failure as failure:
+                cells.append(f"– ({failure.error.exit_code})")
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    wire_cycles = (0.002, 0.005)
+    lines += [
+        "",
+        "| `bench` over a wire, `clock=step` | "
+        + " | ".join(f"{cycle * 1000:g} ms" for cycle in wire_cycles)
+        + " |",
+        "| --- |" + " --- |" * len(wire_cycles),
+    ]
+    for name, arguments in WIRES.items():
+        cells = []
+        for cycle in wire_cycles:
+            server, link = serve(*arguments, "--clock", "step")
+            try:
+                cells.append(error_of(measure(link, cycle, 3.14), 0.1))
+            finally:
+                server.terminate()
+                server.wait()
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def timed(action: Callable[[], Any], repeat: int = 5) -> float:
+    """Best of some runs, s."""
+    times = []
+    for _ in range(repeat):
+        begin = time.perf_counter()
+        action()
+        times.append(time.perf_counter() - begin)
+    return min(times)
+
+
+def command(*arguments: str) -> Callable[[], None]:
+    def run() -> None:
+        subprocess.run([sys.executable, *arguments], check=True, capture_output=True, cwd=HERE.parent)
+
+    return run
+
+
+def speed() -> list[str]:
+    """How fast the loop is, and what the command line costs."""
+    link = "virtual://bench"
+    spent: list[tuple[float, int]] = []
+    original = session.run
+
+    def counted(*arguments: Any, **keywords: Any) -> Any:
+        recorder = arguments[3]
+        before, begin = len(recorder.samples), time.perf_counter()
+        try:
+            return original(*arguments, **keywords)
+        finally:
+            spent.append((time.perf_counter() - begin, len(recorder.samples) - before))
+
+    session.run = counted
+    rates = []
+    for _ in range(7):
+        spent.clear()
+        measure(link, 0.001)
+        rates.append(sum(n for _, n in spent) * 0.001 / sum(s for s, _ in spent))
+    session.run = original
+    whole = timed(lambda: measure(link, 0.001))
+    duration = measure(link, 0.001)["experiment"]["duration"]
+    click_alone = timed(command("-c", "import click"), 9)
+    tworelay = str(Path(sys.executable).parent / "tworelay")
+    help_time = timed(
+        lambda: subprocess.run([tworelay, "--help"], check=True, capture_output=True), 9
+    )
+    identify_time = timed(command("-m", "commissioning", "identify", link, "--yes"))
+    numbers = timed(command("-c", "import numpy, scipy.optimize"))
+    return [
+        "# Speed",
+        "",
+        "Written by `make bench`; a shared machine, so compare within one run.",
+        "",
+        "| | |",
+        "| --- | --- |",
+        f"| simulated seconds a second, `virtual://bench` at 1 ms, whole loop | {statistics.median(rates):.0f} (best {max(rates):.0f}) |",
+        f"| the job in process: {duration:.1f} simulated seconds in | {whole * 1000:.0f} ms |",
+        f"| `tworelay identify virtual://bench --yes`, wall time | {identify_time:.2f} s |",
+        f"| … over `python -c \"import numpy, scipy.optimize\"` | {identify_time / numbers:.1f} × |",
+        f"| `tworelay --help` | {help_time * 1000:.0f} ms |",
+        f"| … over `python -c \"import click\"` | {help_time / click_alone:.2f} × |",
+    ]
+
+
+def links() -> list[str]:
+    """Cycle time and lateness in real time."""
+    lines = [
+        "# Cycle and lateness in real time",
+        "",
+        "Written by `make bench`: 2 000 cycles each, drive served from another process on this machine.",
+        "Lateness is against the absolute deadline of the cycle.",
+        "",
+        "| link | cycle | achieved | lateness median | p99 | worst | missed |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, arguments in WIRES.items():
+        for cycle in (0.002, 0.005):
+            server, link = serve(*arguments)
+            try:
+                drive = open_drive(axis_of(link), cycle=cycle)
+                drive.enable(Mode.TORQUE)
+                samples = [drive.exchange(0.0) for _ in range(2000)]
+                drive.stop()
+                drive.close()
+            finally:
+                server.terminate()
+                server.wait()
+            late = sorted(s.lateness for s in samples)
+            achieved = (samples[-1].time - samples[0].time) / (len(samples) - 1)
+            lines.append(
+                f"| {name} | {cycle * 1000:g} ms | {achieved * 1000:.3f} ms | "
+                f"{late[1000] * 1000:.3f} ms | {late[1980] * 1000:.3f} ms | "
+                f"{late[-1] * 1000:.2f} ms | {sum(s.missed for s in samples)} |"
+            )
+    return lines
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["TWORELAY_HOME"] = folder
+        for name, table in (("two_relay", accuracy), ("speed", speed), ("links", links)):
+            lines = table()
+            (HERE / f"{name}.md").write_text("\n".join(lines) + "\n", "utf-8")
+            print("\n".join(lines), flush=True)
+
+
+if __name__ == "__main__":
+    main()

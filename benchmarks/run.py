@@ -99,7 +99,9 @@ def timed(action: Callable[[], Any], repeat: int = 5) -> float:
 
 def command(*arguments: str) -> Callable[[], None]:
     def run() -> None:
-        subprocess.run([sys.executable, *arguments], check=True, capture_output=True, cwd=HERE.parent)
+        subprocess.run(
+            [sys.executable, *arguments], check=True, capture_output=True, cwd=HERE.parent
+        )
 
     return run
 
@@ -144,9 +146,9 @@ def speed() -> list[str]:
         f"| simulated seconds a second, `virtual://bench` at 1 ms, whole loop | {statistics.median(rates):.0f} (best {max(rates):.0f}) |",
         f"| the job in process: {duration:.1f} simulated seconds in | {whole * 1000:.0f} ms |",
         f"| `tworelay identify virtual://bench --yes`, wall time | {identify_time:.2f} s |",
-        f"| … over `python -c \"import numpy, scipy.optimize\"` | {identify_time / numbers:.1f} × |",
+        f'| … over `python -c "import numpy, scipy.optimize"` | {identify_time / numbers:.1f} × |',
         f"| `tworelay --help` | {help_time * 1000:.0f} ms |",
-        f"| … over `python -c \"import click\"` | {help_time / click_alone:.2f} × |",
+        f'| … over `python -c "import click"` | {help_time / click_alone:.2f} × |',
     ]
 
 

@@ -7,12 +7,28 @@ from importlib.resources import files
 from typing import Any
 
 from commissioning.runs import Samples
+from profiles.errors import UsageError
 
 __all__ = ["render"]
 
 
 def render(result: dict[str, Any], samples: Samples | None, journal: dict[str, Any]) -> str:
-    """HTML text of the report; everything in it that is not ours is escaped."""
+    """HTML text of the report; everything in it that is not ours is escaped.
+
+    Raises UsageError when the result is not what tworelay writes.
+    """
+    import jinja2
+
+    try:
+        return _render(result, samples, journal)
+    except (jinja2.UndefinedError, KeyError, TypeError, ValueError, IndexError) as error:
+        raise UsageError(
+            f"run {result.get('run')}: its run.json is damaged or not ours "
+            f"({type(error).__name__}: {error})"
+        ) from None
+
+
+def _render(result: dict[str, Any], samples: Samples | None, journal: dict[str, Any]) -> str:
     import jinja2
     import markupsafe
 

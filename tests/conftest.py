@@ -87,7 +87,8 @@ WIRES = {
     "socketcand": ("--socketcand", "127.0.0.1:0"),
     "slcan": ("--slcan", "pty"),
 }
-needs_pty = pytest.mark.skipif(os.name == "nt", reason="no pseudo-terminals on Windows")
+# tests in real time share one worker: two at once on two cores would disturb each other
+real_time = pytest.mark.xdist_group("real time")
 
 
 @pytest.fixture(params=[*WIRES])

@@ -13,7 +13,7 @@ from profiles.schema import WIDTH_BITS, Address, CanopenAddress, Identity, Profi
 __all__ = ["CanopenBus", "identify"]
 
 MISSED_CYCLES = 3  # consecutive cycles without a sample are a lost link (safety, receive deadline)
-SHORTEST_DEADLINE = 0.01  # s: below this, a stall of the host would pass for a dead link
+SHORTEST_DEADLINE = 0.02  # s: below this, a stall of the host would pass for a dead link
 
 NMT_OPERATIONAL = 0x01
 NMT_PRE_OPERATIONAL = 0x80

@@ -12,7 +12,7 @@ from profiles.schema import Address, Identity, ModbusAddress, Profile
 __all__ = ["ModbusBus", "identify"]
 
 MISSED_CYCLES = 3  # consecutive cycles without a sample are a lost link (safety, receive deadline)
-SHORTEST_DEADLINE = 0.01  # s: below this, a stall of the host would pass for a dead link
+SHORTEST_DEADLINE = 0.02  # s: below this, a stall of the host would pass for a dead link
 
 
 def identify(client: Client) -> Identity:

@@ -17,7 +17,7 @@ from drivers.drive import Drive
 from drivers.link import axis_of, open_drive
 from profiles.library import source_text
 from profiles.schema import Mode
-from tests.conftest import WIRES, Serve, Tworelay, running
+from tests.conftest import WIRES, Serve, Tworelay, real_time, running
 
 TRAVEL = ("--travel", "3", "--yes")
 
@@ -238,6 +238,7 @@ def wait_for(process: subprocess.Popen[str], words: str) -> None:
     pytest.fail(f"'{words}' never came: {process.stderr.read() if process.stderr else ''}")
 
 
+@real_time
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_ctrl_c_in_mid_test(serve: Serve, wire: str, number: signal.Signals, code: int) -> None:
@@ -301,6 +302,7 @@ class Cable:
             end.close()
 
 
+@real_time
 def test_the_link_is_cut_in_mid_test(tworelay: Tworelay, serve: Serve) -> None:
     link = serve("bench", *WIRES["modbus-tcp"])[0]
     port = int(link.split(":")[2].split("?")[0])
@@ -326,6 +328,7 @@ def test_the_link_is_cut_in_mid_test(tworelay: Tworelay, serve: Serve) -> None:
     assert_safe_and_complete(link)
 
 
+@real_time
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_killed_in_mid_test_the_drive_stops_and_restore_completes(
     tworelay: Tworelay, serve: Serve, wire: str

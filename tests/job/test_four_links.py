@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from drivers.link import axis_of, open_drive
-from tests.conftest import WIRES, Serve, Tworelay
+from tests.conftest import WIRES, Serve, Tworelay, real_time
 
 FOUND: dict[tuple[str, float], float] = {}
 
@@ -67,9 +67,10 @@ def test_over_a_wire_step_by_step(
     )
 
 
+@real_time
 def test_over_a_wire_in_real_time(tworelay: Tworelay, serve: Serve, wire: str) -> None:
     link = serve("bench", *WIRES[wire])[0]
-    result = commission(tworelay, link, "--cycle", "0.005")
+    result = commission(tworelay, link, "--cycle", "0.004")
     check(result, 0.1)
 
 
@@ -87,11 +88,12 @@ def test_the_state_on_disk_survives_a_power_off(
     assert Path(report[1]).read_text().startswith("<!DOCTYPE html>")
 
 
+@real_time
 def test_a_generic_profile_identifies_and_writes_nothing(tworelay: Tworelay, serve: Serve) -> None:
     link = serve("bench", *WIRES["socketcand"])[0]
     done = tworelay(
         "identify", link, "--profile", "cia402", "--travel", "3", "--yes", "--json", "-",
-        "--cycle", "0.005",
+        "--cycle", "0.004",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)

@@ -28,6 +28,7 @@ class Envelope:
     thermal : (N.m)²·s or N²·s above the rated torque, the i²t budget; `rated` the torque it counts from
     stopping : what is certain about stopping; None while nothing is known and speeds are low
     relay_torque : torque about the offset that may act until the axis is told to stop, N.m or N
+    stage : why the speed is limited so, for messages
     position_unit, effort_unit : for messages
     """
 
@@ -40,6 +41,7 @@ class Envelope:
     thermal: float = inf
     stopping: Stopping | None = None
     relay_torque: float = 0.0
+    stage: str = ""
     position_unit: str = "rad"
     effort_unit: str = "N.m"
 
@@ -91,9 +93,10 @@ class Watch:
         if elapsed > 0:
             velocity = (position - self._position) / elapsed
             speed = velocity if velocity >= 0 else -velocity
-            reach = offset if offset >= 0 else -offset
-            if velocity * offset > 0:
-                reach += self._c0 + (self._c1 + self._c2 * speed) * speed
+            ahead = self._c0 + (self._c1 + self._c2 * speed) * speed
+            reach = ahead + (offset if velocity >= 0 else -offset)
+            if reach < offset or reach < -offset:
+                reach = offset if offset >= 0 else -offset
             excess = sample.command * sample.command - self._rated2
             heat = self._heat + excess * elapsed
             self._heat = heat if heat > 0 else 0.0
@@ -134,8 +137,8 @@ class Watch:
             )
         if speed > e.speed:
             raise EnvelopeTripped(
-                f"speed: {speed:.4g} {pu}/s is above the limit of {e.speed:.4g} {pu}/s; the axis "
-                "was stopped. Raise --max-speed if the machine allows it"
+                f"speed: {speed:.4g} {pu}/s is above the limit of {e.speed:.4g} {pu}/s{e.stage}; the "
+                "axis was stopped. Raise --max-speed if the machine allows it"
             )
         if self._heat > e.thermal:
             raise EnvelopeTripped(

@@ -60,9 +60,11 @@ class Interruption:
 
     @contextmanager
     def deferred(self) -> Generator[None]:
-        """While something moves or is being written."""
+        """While something moves or is being written; a signal that came raises at the end of it."""
         self._deferred += 1
         try:
             yield
         finally:
             self._deferred -= 1
+        if not self._deferred:
+            self.check()

@@ -20,7 +20,7 @@ from profiles.errors import JournalError, UnknownName, UsageError
 __all__ = ["Intent", "Journal", "RunRecord"]
 
 Kind = Literal["experiment", "compensation"]
-State = Literal["intended", "verified", "restored", "kept"]
+State = Literal["intended", "verified", "restored"]
 
 _SCHEMA_VERSION = 1
 _SCHEMA = """
@@ -110,8 +110,12 @@ class Journal:
     def _errors(self) -> Generator[None]:
         try:
             yield
-        except sqlite3.Error as error:
+        except (sqlite3.Error, OverflowError) as error:
+            if self._db.in_transaction:
+                self._db.execute("ROLLBACK")
             raise JournalError(_unwritable(self.folder, error)) from None
+        except UnicodeEncodeError:
+            raise UsageError("a name that is no valid text cannot be looked up") from None
 
     # -- runs ------------------------------------------------------------------------------------
 
@@ -170,6 +174,14 @@ class Journal:
                 "INSERT INTO events(run, at, text) VALUES (?,?,?)", (run, time.time(), text)
             )
 
+    def noted(self, run: str, text: str) -> bool:
+        """Whether the last event of the run is `text`."""
+        with self._errors():
+            row = self._db.execute(
+                "SELECT text FROM events WHERE run=? ORDER BY seq DESC LIMIT 1", (run,)
+            ).fetchone()
+        return row is not None and row["text"] == text
+
     # -- intents ---------------------------------------------------------------------------------
 
     def intend(self, run: str, kind: Kind, parameter: str, old: int, new: int) -> int:
@@ -200,17 +212,15 @@ class Journal:
         found = [Intent(**dict(row)) for row in rows]
         return [i for i in found if i.state in ("intended", "verified")] if open_only else found
 
-    def last_open(self) -> str:
-        """The latest run with something to restore; raises UnknownName."""
+    def last_open(self) -> str | None:
+        """The latest run with something to restore."""
         with self._errors():
             row = self._db.execute(
                 "SELECT runs.id FROM runs JOIN intents ON intents.run = runs.id "
                 "WHERE intents.state IN ('intended', 'verified') "
                 "ORDER BY runs.created DESC, runs.id DESC LIMIT 1"
             ).fetchone()
-        if row is None:
-            raise UnknownName("run with anything to restore", "last", [])
-        return str(row["id"])
+        return None if row is None else str(row["id"])
 
     def unfinished(self, serial: str) -> list[str]:
         """Runs on the drive `serial` whose experiment settings were never put back."""
@@ -249,9 +259,11 @@ class Journal:
                 raise KeyError("schema")
             record = RunRecord(**tree["run"])
             rows = [
-                (i["kind"], i["parameter"], int(i["old"]), int(i["new"]), i["state"])
+                (str(i["kind"]), str(i["parameter"]), int(i["old"]), int(i["new"]), str(i["state"]))
                 for i in tree["intents"]
             ]
+            if any(abs(value) >= 2**63 for row in rows for value in row[2:4]):
+                raise ValueError("a value is too large")
             fields = (
                 record.id, float(record.created), record.axis, record.link, record.profile,
                 record.profile_hash, record.serial, record.status, json.dumps(record.context),

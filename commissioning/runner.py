@@ -16,7 +16,7 @@ from drivers.sample import Sample
 from profiles.errors import DriveFault, TwoRelayError
 from profiles.schema import Mode
 
-__all__ = ["Recorder", "run"]
+__all__ = ["Recorder", "run", "verified"]
 
 T = TypeVar("T")
 
@@ -89,17 +89,17 @@ def run(
             except StopIteration as end:
                 result: T = end.value
             if leave_moving:
-                _verified(drive.stop(interruption.hurried), None)
+                verified(drive.stop(interruption.hurried), None)
             else:
                 drive.disable()
         except BaseException as error:
+            verified(drive.stop(interruption.hurried), error)
             plan.close()
-            _verified(drive.stop(interruption.hurried), error)
             raise
     return result
 
 
-def _verified(report: StopReport, error: BaseException | None) -> None:
+def verified(report: StopReport, error: BaseException | None) -> None:
     """Raise, or say in `error`, that a stop could not be verified."""
     if report.deenergised:
         return

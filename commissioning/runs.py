@@ -6,6 +6,7 @@ import csv
 import json
 import re
 import shutil
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +97,7 @@ class RunFolder:
             raise UsageError(f"{path}: is no JSON: {error}") from None
         if not isinstance(found, dict) or found.get("schema") != "tworelay.run/1":
             raise UsageError(f"{path}: is no result of tworelay")
+        _check_result(found, path)
         return found
 
     def samples(self) -> Samples | None:
@@ -107,7 +109,7 @@ class RunFolder:
             with np.load(path, allow_pickle=False) as archive:
                 columns = {name: np.asarray(archive[name], float) for name in _COLUMNS}
                 phases = [(int(n), str(text)) for n, text in json.loads(str(archive["phases"]))]
-        except (OSError, ValueError, KeyError, EOFError) as error:
+        except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile) as error:
             raise UsageError(f"{path}: cannot be read as samples: {error}") from None
         return Samples(columns, phases)
 
@@ -131,10 +133,31 @@ class RunFolder:
         return sorted(target.iterdir())
 
 
+_RESULT_KEYS: dict[str, type | tuple[type, ...]] = {
+    "status": str, "axis": str, "units": dict, "friction": dict, "methods": dict,
+    "compensation": list, "quality": dict,
+}  # fmt: skip
+_CHANGE_KEYS: dict[str, type | tuple[type, ...]] = {
+    "parameter": str, "old": (int, float), "new": (int, float), "unit": str, "why": str,
+    "old_raw": int, "new_raw": int, "rounded_by": (int, float),
+}  # fmt: skip
+
+
+def _check_result(found: dict[str, Any], path: Path) -> None:
+    """What the commands rely on is there and of its type; the rest is the report's to judge."""
+    rows = [(found, _RESULT_KEYS)]
+    if isinstance(found.get("compensation"), list):
+        rows += [(item, _CHANGE_KEYS) for item in found["compensation"]]
+    for row, keys in rows:
+        for key, kind in keys.items():
+            if not isinstance(row, dict) or not isinstance(row.get(key), kind):
+                raise UsageError(f"{path}: is damaged: '{key}' is missing or not what it must be")
+
+
 def resolve(journal: Journal, run: str) -> tuple[str, RunFolder]:
     """RUN → its id and folder: an id, `last`, or the folder of an exported run."""
     path = Path(run)
-    if path.is_dir() and (path / "run.json").exists():
+    if _is_folder(path) and (path / "run.json").exists():
         origin = path / "journal.json"
         try:
             if origin.stat().st_size > _LARGEST_JSON:
@@ -148,6 +171,13 @@ def resolve(journal: Journal, run: str) -> tuple[str, RunFolder]:
     if not folder.path.exists():
         raise UnknownName("run with files", record.id, [])
     return record.id, folder
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
 
 
 def _replace(path: Path, text: str) -> None:

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 from commissioning.journal import Intent, Journal, Kind
 from drivers.drive import Drive
-from profiles.errors import LinkError, TwoRelayError
+from profiles.errors import JournalError, LinkError, TwoRelayError, WriteFailed
 
-__all__ = ["Restored", "Settings", "put_back"]
+__all__ = ["Restored", "Settings", "put_back", "settle"]
 
 
 @dataclass
@@ -49,23 +49,50 @@ class Settings:
         old = self._drive.read_raw(parameter)
         if old == new:
             return False
+        self._check_way_back(parameter, old, new)
         intent = self._journal.intend(self._run, kind, parameter, old, new)
         self._drive.write_raw(parameter, new)
         self._journal.settle(intent, "verified")
         return True
+
+    def _check_way_back(self, parameter: str, old: int, new: int) -> None:
+        """Refuse a write that could not be undone, or that is larger than the profile allows."""
+        described = self._drive.profile.parameters[parameter]
+        low, high = described.raw_range
+        if not low <= old <= high or old in described.forbidden:
+            raise WriteFailed(
+                f"'{parameter}' reads {old}, which profile '{self._drive.profile.name}' does not "
+                f"allow to be written back ({low:g}…{high:g}); it was left as it is"
+            )
+        if described.largest_step is not None and abs(new - old) > described.largest_step:
+            raise WriteFailed(
+                f"'{parameter}': the step from {old} to {new} is larger than the "
+                f"{described.largest_step} that profile '{self._drive.profile.name}' allows at once"
+            )
 
     def restore(self) -> Restored:
         """Put back everything that was set for the experiment; never raises on the way."""
         intents = [
             i for i in self._journal.intents(self._run, open_only=True) if i.kind == "experiment"
         ]
-        return put_back(self._drive, self._journal, intents, force=True)
+        outcome = put_back(self._drive, intents, force=True)
+        settle(self._journal, intents, outcome)
+        return outcome
 
 
-def put_back(
-    drive: Drive, journal: Journal, intents: list[Intent], *, force: bool = False
-) -> Restored:
-    """Undo `intents`, last first, each parameter to its oldest value.
+def settle(journal: Journal, intents: list[Intent], outcome: Restored) -> None:
+    """Mark as restored what is; a journal that fails here is reported with the rest."""
+    done = {*outcome.restored, *outcome.already}
+    for intent in intents:
+        if intent.parameter in done:
+            try:
+                journal.settle(intent.seq, "restored")
+            except JournalError as error:
+                outcome.failed[intent.parameter] = f"it has its old value, but {error}"
+
+
+def put_back(drive: Drive, intents: list[Intent], *, force: bool = False) -> Restored:
+    """Undo `intents`, last first, each parameter to its oldest value. The caller settles them.
 
     A value that is neither the old nor ours is somebody else's work: skipped, unless `force`.
     """
@@ -95,8 +122,4 @@ def put_back(
             outcome.failed[name] = str(error)
             if isinstance(error, LinkError):
                 dead = "the link is gone"
-            continue
-        for intent in intents:
-            if intent.parameter == name:
-                journal.settle(intent.seq, "restored")
     return outcome

@@ -30,7 +30,7 @@ class StopReport:
             None: "stop was sent but the drive does not answer: it is NOT verified that the axis "
             "is at rest; use the emergency stop",
         }[self.deenergised]
-        return "; ".join([state, *self.failures])
+        return "; ".join([state, *self.failures[:1]])
 
 
 class Drive(Protocol):
@@ -68,6 +68,9 @@ class Drive(Protocol):
     def is_energised(self) -> bool:
         """Whether the drive controls the axis."""
 
+    def other_master(self) -> str:
+        """What another master sent on the same bus, or ''."""
+
     def in_fault(self) -> bool:
         """Whether the drive reports a fault."""
 
@@ -100,9 +103,14 @@ class Drive(Protocol):
 
 
 class Exchange(NamedTuple):
-    """One cyclic exchange, raw: the values of the profile's `cycle.in`, and the times in s."""
+    """One cyclic exchange, raw: the values of the profile's `cycle.in`, the times in s.
+
+    `in_force` are the values of `cycle.out` that acted until the feedback was latched, and `sent` is
+    when they left.
+    """
 
     values: tuple[int, ...]
+    in_force: tuple[int, ...]
     sent: float
     time: float
     lateness: float
@@ -137,6 +145,9 @@ class Bus(Protocol):
 
     def wait(self, seconds: float) -> None:
         """Let time pass."""
+
+    def other_master(self) -> str:
+        """What another master sent on the same bus, or ''."""
 
     def trouble(self) -> str:
         """Last thing that the drive reported by itself (an emergency), or ''."""

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl, unquote, urlsplit
 
+from drivers.drive import Bus
 from drivers.home import home
 from drivers.pace import Pace, StepPace, WallPace
 from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis, AxisLimits, Mechanics
-from profiles.errors import IdentityMismatch, UsageError
+from profiles.errors import AccessDenied, IdentityMismatch, LinkError, UsageError
 from profiles.library import fitting, load_profile
 from profiles.schema import Identity, Profile
 
@@ -49,11 +50,16 @@ class Link:
 
 def parse(text: str) -> Link:
     """Split a LINK; raises UsageError."""
-    parts = urlsplit(text)
+    try:
+        parts = urlsplit(text)
+    except ValueError as error:
+        raise UsageError(f"'{text}' is no link: {error}") from None
     if parts.scheme not in SCHEMES or "://" not in text:
         known = ", ".join(f"{scheme}://" for scheme in SCHEMES)
         raise UsageError(f"'{text}' is no link and no axis file; a link begins with {known}")
     place = text.split("://", 1)[1].split("?", 1)[0]
+    if not text.isascii() or any(character.isspace() for character in text):
+        raise UsageError(f"{text!r}: a link has no spaces and only ASCII (write others as %XX)")
     try:
         options = dict(
             parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
@@ -77,7 +83,13 @@ def is_simulated(text: str) -> bool:
         host = channel.partition("/")[0].rpartition(":")[0] if interface == "socketcand" else ""
     else:
         host = link.place.rpartition(":")[0] or link.place
-    return host.strip("[]") in ("localhost", "::1") or host.startswith("127.")
+    from ipaddress import ip_address
+
+    host = host.strip("[]")
+    try:
+        return host == "localhost" or ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def axis_of(link_text: str) -> Axis:
@@ -102,7 +114,11 @@ def axis_of(link_text: str) -> Axis:
 
 
 def open_drive(
-    axis: Axis, *, cycle: float | None = None, trace: Trace | None = None
+    axis: Axis,
+    *,
+    cycle: float | None = None,
+    trace: Trace | None = None,
+    to_stop: bool = False,
 ) -> ProfiledDrive:
     """Connect to the drive of `axis` and check its identity against the profile.
 
@@ -112,6 +128,7 @@ def open_drive(
         Its `link` must be set. Without a profile, the one that fits the identity is taken.
     cycle : s, of the exchange; default: the axis', else the profile's
     trace : called with every frame
+    to_stop : for `stop` alone: nothing but the identity is asked before
 
     Raises
     ------
@@ -124,12 +141,25 @@ def open_drive(
     if named is not None and named.bus != ("canopen" if link.scheme == "canopen" else "modbus"):
         raise UsageError(f"profile '{named.name}' is for {named.bus}, the link is {link.scheme}://")
     opener = {"virtual": _open_virtual, "modbus-tcp": _open_modbus, "canopen": _open_canopen}
-    return opener[link.scheme](link, axis, named, cycle or axis.cycle, trace)
+    if named is not None:
+        named = _armed_with(named, axis)
+    bus, profile = opener[link.scheme](link, axis, named, cycle or axis.cycle, trace)
+    try:
+        return ProfiledDrive(bus, profile, axis, link.text, to_stop=to_stop)
+    except AccessDenied as error:
+        bus.close()
+        raise LinkError(
+            f"something answers on {link.text}, but not like profile '{profile.name}': {error}; are "
+            "unit or node and profile right?"
+        ) from None
+    except BaseException:
+        bus.close()
+        raise
 
 
 def _open_virtual(
     link: Link, axis: Axis, profile: Profile | None, cycle: float | None, _trace: Trace | None
-) -> ProfiledDrive:
+) -> tuple[Bus, Profile]:
     from drivers.virtual.device import Device
     from drivers.virtual.direct import DirectBus
     from drivers.virtual.firmware import Firmware
@@ -139,8 +169,8 @@ def _open_virtual(
     device = Device(Firmware(virtual, Memory(state_file(link))), "step")
     if cycle is not None:
         device.cycle = round(cycle * 1e9)
-    profile = profile or load_profile("virtual-modbus")
-    return ProfiledDrive(DirectBus(device, profile), profile, axis, link.text)
+    profile = profile or _armed_with(load_profile("virtual-modbus"), axis)
+    return DirectBus(device, profile), profile
 
 
 def _virtual_axis(link: Link) -> Any:
@@ -161,7 +191,7 @@ def state_file(link: Link) -> Path:
 
 def _open_modbus(
     link: Link, axis: Axis, profile: Profile | None, cycle: float | None, trace: Trace | None
-) -> ProfiledDrive:
+) -> tuple[Bus, Profile]:
     _only(link, {"unit", "timeout", "clock"})
     host, colon, port = link.place.rstrip("/").rpartition(":")
     if not colon:
@@ -176,9 +206,8 @@ def _open_modbus(
         unit = profile.link.unit if profile and profile.link.unit is not None else 1
     client = Client(host.strip("[]"), int(port), unit, _timeout(link, profile), trace)
     try:
-        chosen = _agree(identify(client), "modbus", profile)
-        bus = ModbusBus(client, chosen, _pace(link, cycle or chosen.link.cycle))
-        return ProfiledDrive(bus, chosen, axis, link.text)
+        chosen = _armed_with(_agree(identify(client), "modbus", profile), axis)
+        return ModbusBus(client, chosen, _pace(link, cycle or chosen.link.cycle)), chosen
     except BaseException:
         client.close()
         raise
@@ -186,7 +215,7 @@ def _open_modbus(
 
 def _open_canopen(
     link: Link, axis: Axis, profile: Profile | None, cycle: float | None, trace: Trace | None
-) -> ProfiledDrive:
+) -> tuple[Bus, Profile]:
     _only(link, {"node", "bitrate", "timeout", "clock"})
     interface, slash, channel = link.place.partition("/")
     node = link.integer("node", 1, 127) or (profile.link.node if profile else None)
@@ -204,12 +233,19 @@ def _open_canopen(
     timeout = _timeout(link, profile)
     wire = CanWire(open_bus(interface, unquote(channel), bitrate, timeout), node, timeout, trace)
     try:
-        chosen = _agree(identify(wire), "canopen", profile)
-        bus = CanopenBus(wire, chosen, _pace(link, cycle or chosen.link.cycle))
-        return ProfiledDrive(bus, chosen, axis, link.text)
+        chosen = _armed_with(_agree(identify(wire), "canopen", profile), axis)
+        return CanopenBus(wire, chosen, _pace(link, cycle or chosen.link.cycle)), chosen
     except BaseException:
         wire.close()
         raise
+
+
+def _armed_with(profile: Profile, axis: Axis) -> Profile:
+    """The profile with the time-out that the axis wants for the drive's watchdog."""
+    if axis.limits.watchdog is None:
+        return profile
+    watchdog = profile.watchdog.model_copy(update={"timeout": axis.limits.watchdog})
+    return profile.model_copy(update={"watchdog": watchdog})
 
 
 def _only(link: Link, known: set[str]) -> None:

@@ -38,17 +38,21 @@ _TRANSITION = 2.0  # s for one transition of the state machine, brake included
 class ProfiledDrive:
     """A drive on `bus` as `profile` describes it, moving `axis`.
 
-    Raises PreflightRefused when the bases of the scaling cannot be known.
+    Raises PreflightRefused when the bases of the scaling cannot be known; `to_stop` does not ask for
+    them, so that nothing stands between the user and `stop`.
     """
 
-    def __init__(self, bus: Bus, profile: Profile, axis: Axis, link: str) -> None:
+    def __init__(
+        self, bus: Bus, profile: Profile, axis: Axis, link: str, *, to_stop: bool = False
+    ) -> None:
         self.profile = profile
         self.link = link
         self.cycle = bus.cycle
         self._bus = bus
         self._rest_raw = 0
         self._energised = False
-        self.scaling = self._read_bases(axis)
+        self._mode_before: int | None = None
+        self.scaling = Scaling(1.0, 1.0, axis.mechanics) if to_stop else self._read_bases(axis)
         self._select(Mode.TORQUE, profile.modes[Mode.TORQUE][0])
         names = profile.cycle.in_
         self._at_status = names.index("statusword")
@@ -175,6 +179,10 @@ class ProfiledDrive:
         word = self.read_raw("statusword")
         return cia402.status(word).enabled or cia402.status(word).stopping
 
+    def other_master(self) -> str:
+        """What another master sent on the same bus, or ''."""
+        return self._bus.other_master()
+
     def in_fault(self) -> bool:
         """Whether the drive reports a fault."""
         return cia402.status(self.read_raw("statusword")).fault
@@ -198,6 +206,8 @@ class ProfiledDrive:
             )
         code = self._supported(mode)
         self._select(mode, code)
+        if self._mode_before is None:
+            self._mode_before = self.read_raw("mode_display")
         self._set_mode(code)
         target = self._parameter(code.set_point)
         self._rest_raw = (
@@ -259,6 +269,9 @@ class ProfiledDrive:
         control = self._parameter("controlword").address
         goals = ("operation enabled",) if enabled else ("switch on disabled", "fault")
         frame = list(self._frame(self._rest_raw))
+        if "controlword" in self.profile.cycle.out:
+            at = self.profile.cycle.out.index("controlword")
+            frame[at] = cia402.SHUTDOWN if enabled else cia402.SWITCH_ON
         sent: tuple[str, int] | None = None
         cycles = 0
         while True:
@@ -271,7 +284,7 @@ class ProfiledDrive:
             step = cia402.next_controlword(word, enabled=enabled)
             if step is not None and sent != (here, step):
                 if "controlword" in self.profile.cycle.out:
-                    frame[self.profile.cycle.out.index("controlword")] = step
+                    frame[at] = step
                 self._bus.write(control, step)
                 sent, cycles = (here, step), 0
             elif cycles * self.cycle >= _TRANSITION:
@@ -290,13 +303,13 @@ class ProfiledDrive:
     def exchange(self, set_point: float) -> Sample:
         """Put `set_point` (SI) in force and return the first sample latched after that."""
         raw = round(set_point / self._set_point_step)
-        values, sent, time, lateness, missed = self._bus.exchange(self._frame(raw))
+        values, in_force, sent, time, lateness, missed = self._bus.exchange(self._frame(raw))
         at_torque = self._at_torque
         return Sample(
             time,
             values[self._at_position] * self._position_step,
             nan if at_torque is None else values[at_torque] * self._torque_step,
-            raw * self._set_point_step,
+            in_force[self._at_set_point] * self._set_point_step,
             sent,
             cia402.status(values[self._at_status]),
             lateness,
@@ -323,8 +336,8 @@ class ProfiledDrive:
         def attempt(action: Callable[[], None]) -> None:
             try:
                 action()
-            except TwoRelayError as error:
-                failures.append(str(error))
+            except Exception as error:
+                failures.append(str(error) or type(error).__name__)
 
         def post(steps: tuple[Step, ...]) -> None:
             for step in steps:
@@ -332,8 +345,16 @@ class ProfiledDrive:
                     address, raw = self._parameter(step.write).address, step.raw
                     attempt(lambda address=address, raw=raw: self._bus.post(address, raw))  # type: ignore[misc]
 
-        attempt(lambda: self._bus.post(self._set_point.address, self._rest_raw))
-        post(self.profile.stop)
+        def post_rest() -> None:
+            attempt(lambda: self._bus.post(self._set_point.address, self._rest_raw))
+
+        if "controlword" in self.profile.cycle.out:
+            # both travel in one frame, and it must not say "enable operation" once more
+            post(self.profile.stop)
+            post_rest()
+        else:
+            post_rest()
+            post(self.profile.stop)
         if not hurry():
             attempt(lambda: self._await_standstill(hurry))
         post(self.profile.disable)
@@ -341,8 +362,8 @@ class ProfiledDrive:
         for _ in range(3):
             try:
                 state = not self.is_energised()
-            except TwoRelayError as error:
-                failures.append(str(error))
+            except Exception as error:
+                failures.append(str(error) or type(error).__name__)
                 break
             if state:
                 break
@@ -359,9 +380,17 @@ class ProfiledDrive:
 
     def close(self) -> None:
         """Stop what is still energised, and let go of the link."""
-        if self._energised:
-            self.stop()
-        self._bus.close()
+        try:
+            if self._energised:
+                self.stop()
+            if self._mode_before is not None:
+                self._bus.write(self._parameter("torque_target").address, 0)
+                self._bus.write(self._parameter("mode_of_operation").address, self._mode_before)
+        except TwoRelayError:
+            # a dead link was reported by whoever used it; the values are volatile
+            self._mode_before = None
+        finally:
+            self._bus.close()
 
     # -- procedures ------------------------------------------------------------------------------
 

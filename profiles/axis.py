@@ -55,6 +55,7 @@ class AxisLimits(_Strict):
     torque: Positive | None = None  # N.m or N at the axis
     speed: Positive | None = None  # rad/s or m/s
     duration: Positive = 300.0  # s
+    watchdog: Positive | None = None  # s, what the drive's watchdog is armed with
 
 
 class Axis(_Strict):

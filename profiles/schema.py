@@ -35,11 +35,10 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-_IntegerType = Literal["i8", "u8", "i16", "u16", "i32", "u32", "i64", "u64"]
-_ScalarType = Literal["i8", "u8", "i16", "u16", "i32", "u32", "i64", "u64", "f32"]
+_ScalarType = Literal["i8", "u8", "i16", "u16", "i32", "u32", "i64", "u64"]
 
 WIDTH_BITS: dict[str, int] = {
-    "i8": 8, "u8": 8, "i16": 16, "u16": 16, "i32": 32, "u32": 32, "i64": 64, "u64": 64, "f32": 32,
+    "i8": 8, "u8": 8, "i16": 16, "u16": 16, "i32": 32, "u32": 32, "i64": 64, "u64": 64,
 }  # fmt: skip
 
 
@@ -170,7 +169,7 @@ class Parameter(_Strict):
         return self
 
     @property
-    def raw_range(self) -> tuple[float, float]:
+    def raw_range(self) -> tuple[int, int]:
         """Smallest and largest raw value that may be written."""
         low, high = type_range(self.address.type)
         return (
@@ -179,10 +178,8 @@ class Parameter(_Strict):
         )
 
 
-def type_range(name: str) -> tuple[float, float]:
+def type_range(name: str) -> tuple[int, int]:
     """Smallest and largest number of a scalar type by its name."""
-    if name == "f32":
-        return (-3.4e38, 3.4e38)
     bits = WIDTH_BITS[name]
     return (0, 2**bits - 1) if name[0] == "u" else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
 
@@ -301,12 +298,16 @@ class Watchdog(_Strict):
     reaction: str | None = None  # parameter that says what the drive does
     reaction_raw: int | None = None
 
+    @property
+    def deadline(self) -> float:
+        """Time-out of one cyclic answer, s: three missed ones come before the drive's own time-out."""
+        return self.timeout / 4
+
 
 class Store(_Strict):
     """How parameters are made non-volatile."""
 
     steps: tuple[Step, ...]
-    timeout: Annotated[float, Field(gt=0)] = 2.0  # s
 
 
 class CompensationLaw(StrEnum):
@@ -416,6 +417,13 @@ class Profile(_Strict):
         for where, name in self._references():
             if name not in known:
                 raise ValueError(f"[{where}] names '{name}', which [parameters] does not have")
+        for where, step in self._steps():
+            if step.write is not None and step.raw is not None:
+                low, high = self.parameters[step.write].raw_range
+                if not low <= step.raw <= high:
+                    raise ValueError(
+                        f"[{where}] writes {step.raw} to '{step.write}', which takes {low}…{high}"
+                    )
         kind = CanopenAddress if self.bus == "canopen" else ModbusAddress
         for name, parameter in self.parameters.items():
             if not isinstance(parameter.address, kind):
@@ -433,19 +441,23 @@ class Profile(_Strict):
                 raise ValueError(f"[parameters.{name}] must have protection 'compensation'")
         return self
 
+    def _steps(self) -> list[tuple[str, Step]]:
+        """Every step of every procedure, with the section that it stands in."""
+        found = [("stop", step) for step in self.stop] + [
+            ("disable", step) for step in self.disable
+        ]
+        found += [("store", step) for step in (self.store.steps if self.store else ())]
+        for mode, codes in self.modes.items():
+            found += [(f"modes.{mode}", step) for code in codes for step in code.before]
+        return found
+
     def _references(self) -> list[tuple[str, str]]:
         found = [("cycle", name) for name in (*self.cycle.out, *self.cycle.in_)]
         for mode, codes in self.modes.items():
             found += [(f"modes.{mode}", code.set_point) for code in codes]
-            found += [(f"modes.{mode}", s.write or s.until or "") for c in codes for s in c.before]
         found += [("compensation", name) for name in self.compensation.terms.values()]
         found += [("limits", name) for name in self.limits.values()]
-        for where, steps in (
-            ("stop", self.stop),
-            ("disable", self.disable),
-            ("store", self.store.steps if self.store else ()),
-        ):
-            found += [(where, step.write or step.until or "") for step in steps]
+        found += [(where, step.write or step.until or "") for where, step in self._steps()]
         if self.watchdog.parameter:
             found.append(("watchdog", self.watchdog.parameter))
         if self.watchdog.reaction:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from importlib import import_module
 
@@ -61,6 +62,9 @@ def cli() -> None:
 
 def main() -> None:
     """Entry point: one plain line for every error, and its documented exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # an old code page must not end a job
     try:
         cli.main(standalone_mode=False)
     except click.exceptions.Exit as stop:
@@ -68,6 +72,9 @@ def main() -> None:
     except click.exceptions.Abort:
         click.echo("tworelay: interrupted", err=True)
         sys.exit(130)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message())
+        sys.exit(2)
     except click.ClickException as error:
         # click's own wording, on one line
         message = " ".join(error.format_message().split())

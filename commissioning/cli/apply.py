@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from commissioning.cli.options import verbose
-from commissioning.cli.terminal import Screen, at_desk, write_json
+from commissioning.cli.terminal import Screen, at_desk, check_json, write_json
 
 __all__ = ["command", "write"]
 
@@ -22,6 +22,7 @@ __all__ = ["command", "write"]
 @verbose
 def command(run: str, link: str | None, yes: bool, json_target: str | None) -> None:
     """Write what RUN proposed, read it back, and store it in the drive."""
+    check_json(json_target)
     screen = Screen(json_target, yes=yes)
     result = write(run, link, screen)
     write_json(result, json_target)

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from commissioning.cli.terminal import Screen, job_options, write_json
+from commissioning.cli.terminal import Screen, check_json, job_options, write_json
 
 __all__ = ["command"]
 
@@ -21,6 +21,7 @@ def command(target: str, **arguments: Any) -> None:
     from commissioning.cli.identify import measure
     from commissioning.cli.report import write_report
 
+    check_json(arguments["json_target"])
     screen = Screen(arguments["json_target"], yes=arguments["yes"])
     result = measure(target, screen, arguments)
     if not arguments["dry_run"]:

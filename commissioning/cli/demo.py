@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import click
@@ -32,7 +34,14 @@ def command(clock: str) -> None:
     screen = Screen(None, yes=True)
     serving = [sys.executable, "-m", "commissioning", "virtual", "serve", AXIS]
     serving += ["--modbus-tcp", "127.0.0.1:0", "--clock", clock]
-    with subprocess.Popen(serving, stdout=subprocess.PIPE, text=True) as server:  # noqa: S603
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        subprocess.Popen(  # noqa: S603
+            [*serving, "--state", str(Path(folder) / "drive.json")],
+            stdout=subprocess.PIPE,
+            text=True,
+        ) as server,
+    ):
         try:
             link = server.stdout.readline().strip() if server.stdout else ""
             if not link:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import click
@@ -10,10 +11,12 @@ from commissioning.cli.terminal import (
     Screen,
     at_desk,
     axis_from,
+    check_json,
     job_options,
     options_from,
     write_json,
 )
+from profiles.errors import UsageError
 
 __all__ = ["command", "measure"]
 
@@ -25,6 +28,7 @@ def command(target: str, **arguments: Any) -> None:
     """Measure the friction of the axis at TARGET; change nothing for good."""
     from commissioning.cli import show
 
+    check_json(arguments["json_target"])
     screen = Screen(arguments["json_target"], yes=arguments["yes"])
     result = measure(target, screen, arguments)
     write_json(result, arguments["json_target"])
@@ -45,6 +49,9 @@ def measure(target: str, screen: Screen, arguments: dict[str, Any]) -> dict[str,
     from commissioning.session.identify import Failure, identify
 
     axis = axis_from(target, arguments["profile"])
+    if arguments["watchdog"] is not None:
+        limits = axis.limits.model_copy(update={"watchdog": arguments["watchdog"]})
+        axis = axis.model_copy(update={"limits": limits})
     options = options_from(arguments)
     with tracer(arguments["trace"], axis.link) as trace, at_desk(screen, trace) as desk:
         try:
@@ -52,7 +59,8 @@ def measure(target: str, screen: Screen, arguments: dict[str, Any]) -> dict[str,
                 return identify(axis, options, desk)
         except Failure as failure:
             if failure.error.exit_code >= 3:
-                write_json(failure.result, arguments["json_target"])
+                with contextlib.suppress(UsageError):  # the first error is the one to be told
+                    write_json(failure.result, arguments["json_target"])
                 if failure.result["run"]:
                     screen.say(f"run {failure.result['run']}")
             raise failure.error from None

@@ -9,8 +9,8 @@ from commissioning.cli.terminal import Screen
 __all__ = ["proposal", "summary"]
 
 _NAMES = {
-    "coulomb": "Coulomb friction f",
-    "offset": "offset (load, asymmetry)",
+    "coulomb": "Coulomb friction",
+    "offset": "offset",
     "viscous": "viscous friction B",
     "inertia": "inertia J",
     "dead_time": "dead time",
@@ -22,6 +22,16 @@ def number(value: float | None, unit: str = "") -> str:
     return "–" if value is None else f"{value:.4g} {unit}".rstrip()
 
 
+def _in_drive(item: dict[str, Any]) -> str:
+    """A quantity as the drive counts it; shares of rated torque in per cent."""
+    if item["raw"] is None:
+        return ""
+    scale, _, unit = item["raw_unit"].rpartition(" ")
+    if unit == "rated":
+        return f"{100 * item['raw'] * float(scale or 1):.2f} % of rated"
+    return f"{item['raw']:.1f} x {item['raw_unit']}"
+
+
 def summary(result: dict[str, Any], screen: Screen) -> None:
     """What was found."""
     friction = result["friction"]
@@ -30,9 +40,8 @@ def summary(result: dict[str, Any], screen: Screen) -> None:
         item = friction[key]
         if item["value"] is None:
             continue
-        raw = "" if item["raw"] is None else f"{item['raw']:.1f} × {item['raw_unit']}"
-        interval = f"{item['low']:.4g} … {item['high']:.4g}"
-        rows.append([name, number(item["value"], item["unit"]), interval, raw])
+        interval = f"{item['low']:.3g} … {item['high']:.3g}"
+        rows.append([name, number(item["value"], item["unit"]), interval, _in_drive(item)])
     screen.table(f"found by {friction['method']}", ["", "value", "interval", "drive's unit"], rows)
     points = result["critical_point"]
     if points:
@@ -68,9 +77,9 @@ def proposal(items: list[dict[str, Any]], screen: Screen) -> None:
             item["unit"],
             f"{item['old_raw']} → {item['new_raw']}",
             f"{item['rounded_by']:+.2g}",
-            item["why"],
         ]
         for item in items
     ]
-    columns = ["parameter", "old", "new", "unit", "raw", "rounded by", "why"]
-    screen.table("proposal", columns, rows)
+    screen.table("proposal", ["parameter", "old", "new", "unit", "raw", "rounded by"], rows)
+    for item in items:
+        screen.say(f"  {item['parameter']}: {item['why']}")

@@ -21,7 +21,15 @@ from drivers.link import axis_of
 from profiles.axis import Axis, load_axis
 from profiles.errors import Refused, UsageError
 
-__all__ = ["Screen", "at_desk", "axis_from", "job_options", "options_from", "write_json"]
+__all__ = [
+    "Screen",
+    "at_desk",
+    "axis_from",
+    "check_json",
+    "job_options",
+    "options_from",
+    "write_json",
+]
 
 
 class Screen:
@@ -33,7 +41,11 @@ class Screen:
         self._progress: Any = None
 
     def say(self, text: str = "") -> None:
-        """One line."""
+        """One line; a reader that went away does not end a job that moves or writes."""
+        with contextlib.suppress(BrokenPipeError):
+            self._say(text)
+
+    def _say(self, text: str) -> None:
         if self._progress is not None:
             self._progress.console.print(text, highlight=False, markup=False, soft_wrap=True)
         else:
@@ -97,7 +109,7 @@ class Screen:
 
         table = Table(title=title, title_justify="left", title_style="bold")
         for n, column in enumerate(columns):
-            table.add_column(column, justify="left" if n == 0 else "right")
+            table.add_column(column, justify="left" if n == 0 else "right", no_wrap=n == 0)
         for row in rows:
             table.add_row(*row)
         self.console().print(table, markup=False)
@@ -114,26 +126,37 @@ def axis_from(target: str, profile: str | None) -> Axis:
     """TARGET, a LINK or an axis file, as an axis."""
     if "://" in target:
         axis = axis_of(target)
-    elif target.endswith(".toml") or Path(target).exists():
+    elif target.endswith(".toml"):
         axis = load_axis(Path(target))
         if axis.link is None:
             raise UsageError(f'{target}: has no link; add link = "modbus-tcp://…"')
     else:
         raise UsageError(
-            f"'{target}' is no link and no axis file; a link begins with virtual://, modbus-tcp:// "
-            "or canopen://"
+            f"'{target:.80}' is no link and no axis file; a link begins with virtual://, "
+            "modbus-tcp:// or canopen://, an axis file ends with .toml"
         )
     return axis.model_copy(update={"profile": profile}) if profile else axis
+
+
+class Finite(click.FloatRange):
+    """A number in a range; neither nan nor infinite."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        """Text to number."""
+        number: float = super().convert(value, param, ctx)
+        if not abs(number) < float("inf"):
+            self.fail(f"{value} is no finite number.", param, ctx)
+        return number
 
 
 _JOB_OPTIONS = [
     click.option("--profile", metavar="P", help="Drive profile: a built-in name or a file."),
     click.option("--travel", metavar="±X", help="Room about the present position, rad or m."),
-    click.option("--max-torque", type=click.FloatRange(0, min_open=True), help="N.m or N."),
-    click.option("--max-speed", type=click.FloatRange(0, min_open=True), help="rad/s or m/s."),
-    click.option("--duration", type=click.FloatRange(0, min_open=True), help="s, at most."),
+    click.option("--max-torque", type=Finite(0, min_open=True), help="N.m or N."),
+    click.option("--max-speed", type=Finite(0, min_open=True), help="rad/s or m/s."),
+    click.option("--duration", type=Finite(0, min_open=True), help="s, at most."),
     click.option(
-        "--fraction", type=click.FloatRange(0, 1), default=0.85, show_default=True,
+        "--fraction", type=Finite(0, 1), default=0.85, show_default=True,
         help="Share of the friction to compensate; the offset is compensated whole.",
     ),
     click.option("--method", type=click.Choice(["two-relay"]), default="two-relay", show_default=True),
@@ -141,7 +164,11 @@ _JOB_OPTIONS = [
         "--solver", type=click.Choice(["bracket", "thesis"]), default="bracket", show_default=True,
         help="Search for equal periods: bracketing secant, or rule (4.21) of the thesis.",
     ),
-    click.option("--cycle", type=click.FloatRange(0.0002, 0.5), help="s, of the exchange."),
+    click.option("--cycle", type=Finite(0.0002, 0.5), help="s, of the exchange."),
+    click.option(
+        "--watchdog", type=Finite(0.005, 5),
+        help="s of silence after which the drive stops by itself; default: the profile's.",
+    ),
     click.option(
         "--without-watchdog", is_flag=True,
         help="Move a drive that would not notice a dead link. Emergency stop in hand.",
@@ -184,6 +211,15 @@ def options_from(arguments: dict[str, Any]) -> Options:
         "without_watchdog", "dry_run",
     )  # fmt: skip
     return Options(travel=travel, **{name: arguments[name] for name in names})
+
+
+def check_json(target: str | None) -> None:
+    """See before anything is done that the result can be written; raises UsageError."""
+    if target is None or target == "-":
+        return
+    path = Path(target)
+    if path.is_dir() or not path.absolute().parent.is_dir():
+        raise UsageError(f"--json {target}: cannot be written: no such folder, or a folder itself")
 
 
 def write_json(result: dict[str, Any], target: str | None) -> None:

@@ -7,7 +7,7 @@ import struct
 import time
 from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, BinaryIO
 
 from profiles.errors import UsageError
 
@@ -22,31 +22,47 @@ _CLIENT, _SERVER = (b"\x7f\x00\x00\x01", 49152), (b"\x7f\x00\x00\x02", 502)
 @contextlib.contextmanager
 def tracer(target: str | None, link: str | None) -> Generator[Trace | None]:
     """A function for the drivers to call with every frame, or None."""
-    if target is None or link is None or link.startswith("virtual:"):
+    if target is None or link is None:
         yield None
         return
+    if link.startswith("virtual:"):
+        raise UsageError("--trace: virtual:// is in this process and has no frames; serve the axis")
+    canopen = link.startswith("canopen:")
     try:
-        with contextlib.ExitStack() as stack:
-            if link.startswith("canopen:"):
-                text = stack.enter_context(Path(target).open("w", encoding="utf-8"))
-                yield _candump(text)
-            else:
-                binary = stack.enter_context(Path(target).open("wb"))
-                binary.write(_PCAP_HEADER)
-                yield _pcap(binary)
+        file = Path(target).open("wb")  # noqa: SIM115 - closed below, errors of the job are its own
     except OSError as error:
         raise UsageError(f"--trace {target}: cannot be written: {error.strerror}") from None
+    with file:
+        if not canopen:
+            file.write(_PCAP_HEADER)
+        yield _harmless(_candump(file) if canopen else _pcap(file))
 
 
-def _candump(file: TextIO) -> Trace:
+def _harmless(write: Trace) -> Trace:
+    """A trace that cannot be written ends the trace, not the job."""
+    broken = False
+
+    def guarded(*frame: Any) -> None:
+        nonlocal broken
+        if not broken:
+            try:
+                write(*frame)
+            except OSError:
+                broken = True
+
+    return guarded
+
+
+def _candump(file: BinaryIO) -> Trace:
     def write(sending: bool, cob_id: int, data: bytes) -> None:
         direction = "T" if sending else "R"
-        file.write(f"({time.time():.6f}) can0 {cob_id:03X}#{data.hex().upper()} {direction}\n")
+        line = f"({time.time():.6f}) can0 {cob_id:03X}#{data.hex().upper()} {direction}\n"
+        file.write(line.encode())
 
     return write
 
 
-def _pcap(file: Any) -> Trace:
+def _pcap(file: BinaryIO) -> Trace:
     """TCP segments with right sequence numbers; check sums are left out (0)."""
     sequence = {True: 1, False: 1}
 

@@ -40,6 +40,10 @@ def list_axes(as_json: bool) -> None:
             f"{axis.coulomb:g} {e}, load {axis.load:g} {e}, rated {axis.rated:g} {e}, travel "
             f"±{axis.travel:.4g} {p}{', holding brake' if axis.brake else ''}"
         )
+        needs = [] if rotary else ['motion = "linear"', "feed = 6.283185307179586"]
+        needs += ['held_by = "brake"'] if axis.brake else []
+        if needs:
+            click.echo(f"{'':<13} served: axis file with [mechanics] {', '.join(needs)}")
 
 
 @command.command("serve")

@@ -6,11 +6,13 @@ from dataclasses import dataclass
 
 from commissioning.experiments.first_look import FirstLook
 from commissioning.experiments.plan import Context, Plan
+from profiles.errors import MeasurementRejected
 
 __all__ = ["Stopping", "run_up"]
 
 _PROOF_SPEED = 0.3  # of the speed limit
 _PROOF_TRAVEL = 0.12  # of the travel, for the run-up
+_RUN_UP_TIME = 3.0  # s
 _COAST_TRAVEL = 0.5  # of the travel, that coasting on friction alone may take
 
 
@@ -20,12 +22,12 @@ class Stopping:
 
     For `reaction` the old torque may still act; then `braking` acts until rest:
 
-        v' = |v| + (d − f + |offset|)/J·t,   distance = (|v| + v')/2·t + v'²·J/(2·b)
+        v' = |v| + (d − f)/J·t,   distance = (|v| + v')/2·t + v'²·J/(2·b)
 
     Attributes
     ----------
     inertia : J, kg.m2 or kg
-    friction : f − |offset|, what is certain of friction, N.m or N
+    friction : f, N.m or N; the offset is cancelled by the bias as long as the old torque acts
     braking : b, torque that is certain to brake, N.m or N, > 0
     reaction : t, s: cycles until the loss is noticed, dead time, and the drive's own reaction
     """
@@ -64,12 +66,18 @@ def run_up(context: Context, known: FirstLook) -> Plan[tuple[float, float]]:
     coasting = (2 * known.coulomb * _COAST_TRAVEL * context.travel / known.inertia) ** 0.5
     goal = min(_PROOF_SPEED * context.speed, coasting)
     before = yield known.offset
-    begin = before.position
+    begin, begun = before.position, before.time
     while True:
         sample = yield known.offset + torque
         elapsed = sample.time - before.time
         speed = (sample.position - before.position) / elapsed if elapsed > 0 else 0.0
         far = sample.position - begin >= _PROOF_TRAVEL * context.travel
-        if speed >= goal or (far and speed > 0) or sample.time > before.time + 5:
+        if speed >= goal or (far and speed > 0):
             return sample.position, max(speed, 0.0)
+        if sample.time > begun + _RUN_UP_TIME:
+            raise MeasurementRejected(
+                f"the axis does not come up to speed with {torque:.4g} {context.effort_unit} within "
+                f"{_RUN_UP_TIME:g} s ({speed:.3g} of {goal:.3g} {context.position_unit}/s); does "
+                "something block it?"
+            )
         before = sample

@@ -164,7 +164,8 @@ def two_relay(
     k_epsilon: float = 0.1,
 ) -> Plan[TwoRelay]:
     """Both tests; returns the two limit cycles. Raises MeasurementRejected."""
-    test = _Test(context, Relay(plan.d1, plan.hysteresis, context.start, context.cycle, plan.bias))
+    relay = Relay(plan.d1, plan.hysteresis, context.start, context.cycle, plan.bias)
+    test = _Test(context, relay, longest=4 * plan.period + 0.5)
     yield from _stage(test, plan)
     first, first_span = yield from _balanced(test, known)
     context.tell(
@@ -188,8 +189,8 @@ def _end_at_reversal(test: _Test) -> Plan[None]:
     """Take the torque away where the axis turns: friction alone then keeps it there."""
     relay = test.relay
     before = yield relay.bias + relay.sign * relay.amplitude
-    moved = 0.0
-    while True:
+    moved, begun = 0.0, before.time
+    while before.time < begun + test.longest:
         sample = yield relay.switch(before)
         step = sample.position - before.position
         if step * moved < 0:
@@ -206,9 +207,10 @@ def _one_step(context: Context) -> float:
 class _Test:
     """A relay on the axis, and the periods that it makes."""
 
-    def __init__(self, context: Context, relay: Relay) -> None:
+    def __init__(self, context: Context, relay: Relay, longest: float) -> None:
         self.context = context
         self.relay = relay
+        self.longest = longest
         self.periods_run = 0
 
     def run(self, enough: Callable[[Periods], bool], most: int, longest: float) -> Plan[Periods]:
@@ -276,8 +278,7 @@ def _stage(test: _Test, plan: RelayDesign) -> Plan[None]:
     """Smallest oscillation first; the hysteresis grows until period or half-swing is reached."""
     context, relay = test.context, test.relay
     while True:
-        longest = 4 * plan.period + 0.5
-        periods = yield from test.run(lambda p: len(p) >= 2, _MOST_PERIODS, longest)
+        periods = yield from test.run(lambda p: len(p) >= 2, _MOST_PERIODS, test.longest)
         period, swing = float(periods.period[-1]), float(periods.half_swing[-1])
         context.tell(
             f"staging: period {period * 1000:.3g} of {plan.period * 1000:.3g} ms, half-swing "
@@ -296,7 +297,9 @@ def _balanced(test: _Test, known: FirstLook) -> Plan[tuple[LimitCycle, tuple[flo
     """Move the bias until both directions take the same time (50 % duty), then settle."""
     relay, context = test.relay, test.context
     for _ in range(8):
-        periods = yield from test.run(lambda p: len(p) >= _TRANSIENT + 4, _MOST_PERIODS, 1e3)
+        periods = yield from test.run(
+            lambda p: len(p) >= _TRANSIENT + 4, _MOST_PERIODS, test.longest
+        )
         recent = periods.last(4)
         direction = float(np.mean(recent.direction))
         # DC balance: mean(u) = offset + f * mean(sign v)
@@ -322,7 +325,7 @@ def _settle(test: _Test, number: int) -> Plan[tuple[LimitCycle, tuple[float, flo
             last.half_swing, 2e-3 * float(last.half_swing[-1])
         )
 
-    periods = yield from test.run(enough, _MOST_PERIODS, 1e3)
+    periods = yield from test.run(enough, _MOST_PERIODS, test.longest)
     count = max(FEWEST, min(len(periods) - _TRANSIENT, 2 * FEWEST))
     if len(periods) < FEWEST:
         raise MeasurementRejected(f"relay test {number} gave only {len(periods)} whole periods")

@@ -8,8 +8,8 @@ from typing import Any
 
 from commissioning.journal import RunRecord
 from commissioning.runs import RunFolder, resolve
-from commissioning.session.desk import Desk, connect, same_drive
-from commissioning.settings import Restored, Settings, put_back
+from commissioning.session.desk import Desk, connect, none_unfinished, same_drive
+from commissioning.settings import Restored, Settings, put_back, settle
 from drivers.drive import Drive, StopReport
 from profiles.axis import Axis
 from profiles.errors import (
@@ -23,6 +23,9 @@ from profiles.errors import (
 )
 
 __all__ = ["apply", "restore", "stop"]
+
+
+STORED = "stored"
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +75,9 @@ def apply(
         raise Refused(f"run {run_id} proposes nothing: {reason}")
     axis = axis_of_run(record, folder, link)
     with connect(axis, None, desk) as drive:
-        same_drive(drive.identity(), record.serial, run_id)
+        identity = drive.identity()
+        same_drive(identity, record.serial, run_id, drive.link, desk)
+        none_unfinished(desk, identity.serial)
         if drive.is_energised():
             raise PreflightRefused(
                 "the drive is enabled: its compensation is not changed while it controls the axis; "
@@ -82,11 +87,14 @@ def apply(
             _Wanted(item["parameter"], drive.read_raw(item["parameter"]), int(item["new_raw"]))
             for item in proposal
         ]
+        present = []
         for item, now in zip(proposal, wanted, strict=True):
             parameter = drive.profile.parameters[now.parameter]
-            item["old_raw"], item["old"] = now.old, drive.scaling.to_si(parameter, now.old)
-        show(proposal)
-        if any(w.old != w.new for w in wanted):
+            old = drive.scaling.to_si(parameter, now.old)
+            present.append({**item, "old_raw": now.old, "old": old})
+        show(present)
+        stored = drive.profile.store is None or desk.journal.noted(run_id, STORED)
+        if any(w.old != w.new for w in wanted) or not stored:
             desk.agree(f"These values will be WRITTEN to axis '{axis.name}' and stored.", axis.name)
             with desk.interruption.deferred():
                 _write(drive, desk, run_id, wanted)
@@ -115,7 +123,7 @@ def _write(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted]) -> None
             )
         else:
             drive.store()
-            desk.journal.note(run_id, "stored")
+            desk.journal.note(run_id, STORED)
             for item in wanted:
                 there = drive.read_raw(item.parameter)
                 if there != item.new:
@@ -135,7 +143,10 @@ def _write(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted]) -> None
 def restore(run: str | None, link: str | None, desk: Desk, *, force: bool) -> Restored:
     """Put back every parameter that `run` (default: the latest with any) changed, and store."""
     if run is None:
-        run_id = desk.journal.last_open()
+        found = desk.journal.last_open()
+        if found is None:
+            return Restored()
+        run_id = found
         folder = RunFolder.of(desk.journal, run_id)
     else:
         run_id, folder = _resolve_any(desk, run)
@@ -145,17 +156,17 @@ def restore(run: str | None, link: str | None, desk: Desk, *, force: bool) -> Re
         return Restored()
     axis = axis_of_run(record, folder, link)
     with connect(axis, None, desk) as drive, desk.interruption.deferred():
-        same_drive(drive.identity(), record.serial, run_id)
+        same_drive(drive.identity(), record.serial, run_id, drive.link, desk)
         if drive.is_energised():
             raise PreflightRefused(
                 "the drive is enabled: 'tworelay stop' makes it safe, then restore"
             )
-        outcome = put_back(drive, desk.journal, intents, force=force)
-        if any(intent.kind == "compensation" for intent in intents) and (
-            outcome.restored and drive.profile.store is not None
-        ):
-            drive.store()
+        outcome = put_back(drive, intents, force=force)
+        written = any(intent.kind == "compensation" for intent in intents)
+        if written and drive.profile.store is not None:
+            drive.store()  # until then the old values are not safe, so the intents stay open
             desk.journal.note(run_id, "restored and stored")
+        settle(desk.journal, intents, outcome)
     if not outcome.complete:
         raise WriteFailed(f"restore of run {run_id} is incomplete: {outcome}")
     return outcome
@@ -173,8 +184,8 @@ def _resolve_any(desk: Desk, run: str) -> tuple[str, RunFolder]:
 
 def stop(axis: Axis, desk: Desk) -> StopReport:
     """Make safe what a dead process left energised; raises when that is not verified."""
-    with connect(axis, None, desk) as drive:
-        report = drive.stop()
+    with desk.interruption.deferred(), connect(axis, None, desk, to_stop=True) as drive:
+        report = drive.stop(desk.interruption.hurried)
     if report.deenergised is None:
         raise LinkError(str(report))
     if not report.deenergised:

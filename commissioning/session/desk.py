@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from drivers.drive import Drive
-from drivers.link import open_drive
+from drivers.link import is_simulated, open_drive
 from profiles.axis import Axis
 from profiles.errors import IdentityMismatch, Refused
 from profiles.schema import Identity
 
-__all__ = ["Desk", "Options", "connect", "same_drive"]
+__all__ = ["Desk", "Options", "connect", "none_unfinished", "same_drive"]
 
 Method = str
 
@@ -50,7 +51,6 @@ class Desk:
     tell: Callable[[str], None]
     confirm: Callable[[str, str], bool]
     trace: Callable[..., None] | None = None
-    phases: list[str] = field(default_factory=list)
 
     def agree(self, question: str, word: str) -> None:
         """Ask; raises Refused when the answer is no."""
@@ -58,10 +58,38 @@ class Desk:
             raise Refused("not confirmed: nothing was moved or written")
 
 
+def none_unfinished(desk: Desk, serial: str) -> None:
+    """Raise Refused while another run uses the drive, or one was cut off and left it changed."""
+    for run in desk.journal.unfinished(serial):
+        pid = desk.journal.run(run).context.get("pid")
+        if isinstance(pid, int) and pid != os.getpid() and _alive(pid):
+            raise Refused(f"run {run} is still in progress on this drive (process {pid})")
+        raise Refused(
+            f"run {run} on this drive was cut off and left settings changed; "
+            f"'tworelay restore {run}' puts them back"
+        )
+
+
+def _alive(pid: int) -> bool:
+    """Whether a process of this machine exists; unknown counts as no."""
+    if os.name == "nt" or pid <= 0:
+        return False
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
 @contextlib.contextmanager
-def connect(axis: Axis, cycle: float | None, desk: Desk) -> Generator[Drive]:
+def connect(
+    axis: Axis, cycle: float | None, desk: Desk, *, to_stop: bool = False
+) -> Generator[Drive]:
     """The drive of `axis`; closed, and stopped if need be, on every way out."""
-    drive = open_drive(axis, cycle=cycle, trace=desk.trace)
+    _allowed_here(axis)
+    drive = open_drive(axis, cycle=cycle, trace=desk.trace, to_stop=to_stop)
     try:
         yield drive
     finally:
@@ -69,9 +97,32 @@ def connect(axis: Axis, cycle: float | None, desk: Desk) -> Generator[Drive]:
             drive.close()
 
 
-def same_drive(found: Identity, serial: str, run: str) -> None:
-    """Raise IdentityMismatch unless the drive on the link is the run's own."""
-    if found.serial != serial:
+def _allowed_here(axis: Axis) -> None:
+    """In CI only what is simulated is touched, unless the axis is allowed by name."""
+    if not os.environ.get("CI") or axis.link is None or is_simulated(axis.link):
+        return
+    if axis.name not in os.environ.get("TWORELAY_ALLOW_REAL", "").split(","):
+        raise Refused(
+            f"CI is set and {axis.link} is a real adapter: axis '{axis.name}' is not touched from "
+            f"CI. If it may be, set TWORELAY_ALLOW_REAL={axis.name}"
+        )
+
+
+_NO_SERIAL = ("", "0x00000000")
+
+
+def same_drive(found: Identity, serial: str, run: str, link: str, desk: Desk) -> None:
+    """Raise IdentityMismatch unless the drive on the link is the run's own.
+
+    A drive that tells no serial number is taken for it only when the user says so.
+    """
+    if serial in _NO_SERIAL and found.serial in _NO_SERIAL:
+        desk.agree(
+            f"The drive tells no serial number, so it cannot be checked that {link} is the drive "
+            f"of run {run}.",
+            "same",
+        )
+    elif found.serial != serial:
         raise IdentityMismatch(
             f"the drive on this link has serial {found.serial}, but run {run} is of serial "
             f"{serial}: its values belong to another axis; nothing was written"

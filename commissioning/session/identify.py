@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from math import inf
 from typing import Any, TypeVar
@@ -17,7 +18,7 @@ from commissioning.experiments.two_relay import RelayDesign, Solver, TwoRelay, d
 from commissioning.identification.two_relay import Estimate, FrictionEstimate, from_cycles
 from commissioning.runner import Recorder, run
 from commissioning.runs import RunFolder, Samples
-from commissioning.session.desk import Desk, Options, connect
+from commissioning.session.desk import Desk, Options, connect, none_unfinished
 from commissioning.session.preflight import (
     Limits,
     choose_limits,
@@ -35,12 +36,12 @@ from commissioning.session.result import (
 )
 from commissioning.settings import Settings
 from drivers.drive import Drive
+from drivers.sample import Sample
 from profiles.axis import Axis
 from profiles.errors import (
     DriveFault,
     MeasurementRejected,
     PreflightRefused,
-    Refused,
     TwoRelayError,
     WriteFailed,
 )
@@ -57,6 +58,7 @@ _BRAKING_SHARE = 0.7  # of the braking that was seen, for what is certain
 _NOTICE = 4  # cycles: three missed ones and the one under way
 _LEAST_PERIOD = 20  # dead times
 _LEAST_CYCLES = 25  # a period
+_LIMITED_SHARE = 0.002  # of the cycles
 
 
 class Failure(Exception):
@@ -101,38 +103,48 @@ def _identify(
     identity = drive.identity()
     result |= blank(axis, drive.link, drive.profile, identity)
     desk.tell(f"drive: {identity}; profile {drive.profile.name} {drive.profile.version}")
-    left = desk.journal.unfinished(identity.serial)
-    if left:
-        raise Refused(
-            f"run {left[-1]} on this drive was cut off and left settings changed; "
-            f"'tworelay restore {left[-1]}' puts them back"
-        )
+    none_unfinished(desk, identity.serial)
     look(drive, axis)
     limits = choose_limits(drive, axis, options)
     if options.dry_run:
         return _dry_run(axis, drive, limits, desk, result)
     desk.agree(_arming_text(axis, limits), axis.name)
+    look(drive, axis)  # the question may have stood for long
+    none_unfinished(desk, identity.serial)
+    limits = choose_limits(drive, axis, options)
+    profile_text = source_text(axis.profile or drive.profile.name)
     run_id = desk.journal.begin(
         axis=axis.name,
         link=drive.link,
         profile=drive.profile.name,
         profile_hash=digest(drive.profile),
         serial=identity.serial,
-        context={"axis": axis.model_dump(mode="json"), "fraction": options.fraction},
+        context={
+            "axis": axis.model_dump(mode="json"),
+            "fraction": options.fraction,
+            "pid": os.getpid(),
+        },
     )
     result["run"] = run_id
     recorder = Recorder(on_phase=desk.tell)
     folder = RunFolder.of(desk.journal, run_id)
+    folder.save(result, None, profile_text)  # so that `restore` knows the drive after a crash
     try:
         job = _Job(
             axis, options, desk, drive, limits, recorder, Settings(desk.journal, run_id, drive)
         )
         measured = job.measure()
         _fill(result, measured, axis, drive, recorder, limits)
-        changes = _proposal(drive, measured, options.fraction)
+        try:
+            changes = _proposal(drive, measured, options.fraction)
+        except WriteFailed as error:
+            changes = []
+            result["quality"]["reasons"].append(f"nothing is proposed: {error}")
         result["compensation"] = changes_json(changes)
         result["status"] = "completed"
     except TwoRelayError as error:
+        result["friction"] = blank(axis, drive.link, drive.profile, identity)["friction"]
+        result["critical_point"] = None
         result["status"] = error.status
         result["quality"] = {"verdict": "rejected", "reasons": [str(error)]}
         raise
@@ -141,8 +153,7 @@ def _identify(
             if result["experiment"] is None:
                 result["experiment"] = _experiment(recorder, drive.cycle, 0)
             desk.journal.finish(run_id, result["status"])
-            name = axis.profile or drive.profile.name
-            folder.save(result, Samples.of(recorder), source_text(name))
+            folder.save(result, Samples.of(recorder), None)
     return result
 
 
@@ -162,9 +173,16 @@ def _dry_run(
     """Say what would be written; write nothing."""
     desk.tell(_arming_text(axis, limits))
     for name, raw in writes(drive, limits).items():
-        desk.tell(f"would set {name}: {drive.read_raw(name)} → {raw}, and put it back")
+        there, parameter = drive.read_raw(name), drive.profile.parameters[name]
+        if there != raw:
+            desk.tell(
+                f"would set {name} ({parameter.address}): {there} → {raw} "
+                f"(x {drive.scaling.raw_unit(parameter)}), and put it back"
+            )
+    desk.tell("would set mode, target torque and controlword to move the axis, and put them back")
     desk.tell("dry run: nothing was written or moved")
     result["status"] = "completed"
+    result["quality"]["reasons"] = ["dry run: nothing was measured"]
     return result
 
 
@@ -205,6 +223,7 @@ class _Job:
             centre=limits.start,
             travel=limits.travel,
             speed=_LOW_SPEED * limits.speed,
+            stage=f" for the first motions ({_LOW_SPEED * 100:.0f} % of {limits.speed:.4g})",
             torque=limits.torque,
             duration=limits.duration,
             rated=limits.rated,
@@ -215,16 +234,16 @@ class _Job:
 
     def measure(self) -> _Measured:
         """All experiments; the settings are put back on every way out."""
+        failure: BaseException | None = None
         try:
             with self.desk.interruption.deferred():
                 set_limits(self.drive, self.settings, self.limits)
-            self.desk.interruption.check()
-            measured = self._experiments()
+            return self._experiments()
         except BaseException as error:
-            self._put_back(error)
+            failure = error
             raise
-        self._put_back(None)
-        return measured
+        finally:
+            self._put_back(failure)
 
     def _put_back(self, error: BaseException | None) -> None:
         with self.desk.interruption.deferred():
@@ -269,7 +288,11 @@ class _Job:
         self.context = replace(self.context, rest=rest)
         plan = design(self.context, known, stopping)
         self.envelope = replace(
-            self.envelope, speed=self.limits.speed, stopping=stopping, relay_torque=plan.d2
+            self.envelope,
+            speed=self.limits.speed,
+            stage="",
+            stopping=stopping,
+            relay_torque=plan.d2,
         )
         tests = self._run(self._relay_job(known, plan), rest)
         estimate = from_cycles(tests.first, tests.second, self.drive.cycle)
@@ -313,8 +336,7 @@ class _Job:
         delay = known.dead_time + self.drive.cycle
         counted = max(distance - speed * delay, 0.25 * distance, 1e-12)
         braking = _BRAKING_SHARE * known.inertia * speed**2 / (2 * counted)
-        friction = known.coulomb - abs(known.offset)
-        certain = max(braking, friction)
+        certain = max(braking, known.coulomb - abs(known.offset))
         if not certain > 0 or not speed > 0:
             raise DriveFault(
                 f"the stop path could not be proved ({distance:.3g} {self.axis.position_unit} from "
@@ -324,8 +346,10 @@ class _Job:
             f"stop path proved: {speed:.3g} {self.axis.position_unit}/s to rest within "
             f"{distance:.3g} {self.axis.position_unit}"
         )
-        reaction = _NOTICE * self.drive.cycle + known.dead_time
-        return Stopping(known.inertia, friction, certain, reaction)
+        watchdog = self.drive.profile.watchdog
+        silent = watchdog.timeout if watchdog.kind != "none" else 0.0
+        reaction = max(_NOTICE * self.drive.cycle, silent) + delay
+        return Stopping(known.inertia, known.coulomb, certain, reaction)
 
 
 def _fill(
@@ -368,10 +392,10 @@ def _fill(
         result["experiment"]["spans"] = [
             [t - begin for t in span] for span in result["experiment"]["spans"]
         ]
-    result["quality"] = _quality(measured, drive.cycle)
+    result["quality"] = _quality(measured, drive.cycle, recorder.samples)
 
 
-def _quality(measured: _Measured, cycle: float) -> dict[str, Any]:
+def _quality(measured: _Measured, cycle: float, samples: list[Sample]) -> dict[str, Any]:
     reasons = []
     tests, f = measured.tests, measured.estimate.coulomb.value
     for number, test in ((1, tests.first), (2, tests.second)):
@@ -387,6 +411,12 @@ def _quality(measured: _Measured, cycle: float) -> dict[str, Any]:
         reasons.append(
             f"a period has only {cycles:.0f} cycles of {cycle * 1000:g} ms; more travel or a "
             "shorter --cycle would give more"
+        )
+    limited = sum(s.status.limit for s in samples) / max(len(samples), 1)
+    if limited > _LIMITED_SHARE:
+        reasons.append(
+            f"the drive's own limiter acted in {100 * limited:.1f} % of the cycles, so that the axis "
+            "did not get the torque that was commanded; raise the drive's limits or lower --max-torque"
         )
     share = f / tests.first.relay_amplitude
     if not 0.2 <= share <= 0.8:

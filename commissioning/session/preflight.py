@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from commissioning.interruption import Interruption
+from commissioning.runner import verified
 from commissioning.session.desk import Options
 from commissioning.settings import Settings
 from drivers.drive import Drive
-from drivers.link import is_simulated
 from profiles.axis import Axis
-from profiles.errors import PreflightRefused, Refused, UsageError
+from profiles.errors import DriveFault, PreflightRefused, UsageError
 from profiles.schema import Mode
 
 __all__ = ["Limits", "choose_limits", "look", "prove_watchdog", "set_limits", "writes"]
 
 _AT_REST_COUNTS = 3
 _LOOK = 0.05  # s
+_CYCLES_A_WATCHDOG = 3
 _FEWEST_COUNTS = 500  # of travel
 _PROOF_CYCLES = 5
 
@@ -45,13 +45,6 @@ class Limits:
 
 def look(drive: Drive, axis: Axis) -> None:
     """Read-only checks; raises PreflightRefused, Refused."""
-    if os.environ.get("CI") and not is_simulated(drive.link):
-        allowed = os.environ.get("TWORELAY_ALLOW_REAL", "").split(",")
-        if axis.name not in allowed:
-            raise Refused(
-                f"CI is set and {drive.link} is a real adapter: axis '{axis.name}' is not moved "
-                f"from CI. If it may be, set TWORELAY_ALLOW_REAL={axis.name}"
-            )
     if drive.in_fault():
         raise PreflightRefused(
             f"the drive is in fault: {drive.status_text()}; remove the cause and reset it, then "
@@ -62,7 +55,28 @@ def look(drive: Drive, axis: Axis) -> None:
             "the drive is already enabled, so somebody else controls it (or a dead process left "
             "it so: 'tworelay stop' makes it safe)"
         )
+    watchdog = drive.profile.watchdog
+    if watchdog.kind != "none" and drive.cycle > watchdog.timeout / _CYCLES_A_WATCHDOG:
+        raise PreflightRefused(
+            f"a cycle of {drive.cycle * 1000:g} ms is too slow for the drive's watchdog of "
+            f"{watchdog.timeout * 1000:g} ms, which needs {_CYCLES_A_WATCHDOG} cycles; give a shorter "
+            "--cycle"
+        )
+    other = drive.other_master()
+    if other:
+        raise PreflightRefused(
+            f"another master is on the bus ({other} was heard): two masters move an axis against "
+            "each other; disconnect it or stop its program"
+        )
     drive.preparations(Mode.TORQUE)  # refuses a drive without torque mode
+    law = drive.profile.compensation
+    if Mode.TORQUE in law.acts_in:
+        active = [name for name in law.terms.values() if drive.read_raw(name) != 0]
+        if active:
+            raise PreflightRefused(
+                f"this drive's compensation acts in torque mode too, and {', '.join(active)} is not "
+                "zero: the friction would be measured less what is compensated; set it to zero first"
+            )
     before = drive.read("position_actual")
     drive.wait(_LOOK)
     moved = abs(drive.read("position_actual") - before)
@@ -166,21 +180,24 @@ def prove_watchdog(
         try:
             drive.enable(Mode.TORQUE, rest)
             for _ in range(_PROOF_CYCLES):
-                drive.exchange(rest)
+                if not drive.exchange(rest).status.enabled:
+                    raise DriveFault(
+                        f"the drive stopped before the proof of its watchdog: {drive.status_text()}"
+                    )
             drive.wait(3 * watchdog.timeout)
             energised = drive.is_energised()
             if energised:  # a brake takes its time
                 drive.wait(drive.profile.stop_time)
                 energised = drive.is_energised()
-        except BaseException:
-            drive.stop(interruption.hurried)
+        except BaseException as error:
+            verified(drive.stop(interruption.hurried), error)
             raise
         if energised:
-            drive.stop(interruption.hurried)
+            verified(drive.stop(interruption.hurried), None)
             raise PreflightRefused(
                 f"the drive did not stop after {3 * watchdog.timeout * 1000:.0f} ms of silence: its "
-                f"watchdog ('{watchdog.parameter}') is not proved, so nothing is moved"
+                f"watchdog ('{watchdog.parameter}') is not proved, so nothing is moved. "
+                "(A served drive that steps needs clock=step in its link.)"
             )
         if drive.in_fault():
             drive.reset_fault()
-    interruption.check()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 
 from drivers.canopen.wire import SYNC, CanWire
@@ -13,18 +14,17 @@ from profiles.schema import WIDTH_BITS, Address, CanopenAddress, Identity, Profi
 __all__ = ["CanopenBus", "identify"]
 
 MISSED_CYCLES = 3  # consecutive cycles without a sample are a lost link (safety, receive deadline)
-SHORTEST_DEADLINE = 0.02  # s: below this, a stall of the host would pass for a dead link
 
 NMT_OPERATIONAL = 0x01
 NMT_PRE_OPERATIONAL = 0x80
 _STATE_OPERATIONAL = 0x05
 _PDO_OFF = 1 << 31
+_PDO_FLAGS = 3 << 29  # no RTR, 29-bit frame: the drive's own
 _EVENT_DRIVEN = 255
 _EVERY_SYNC = 1
 
 _CODE = {
     "i8": "b", "u8": "B", "i16": "h", "u16": "H", "i32": "i", "u32": "I", "i64": "q", "u64": "Q",
-    "f32": "f",
 }  # fmt: skip
 
 
@@ -48,7 +48,7 @@ class CanopenBus:
         self._wire = wire
         self._profile = profile
         self._pace = pace
-        self._deadline = max(pace.cycle, SHORTEST_DEADLINE)
+        self._deadline = max(pace.cycle, profile.watchdog.deadline)
         cycle = profile.cycle
         self._out = [_canopen(profile.parameters[name].address) for name in cycle.out]
         self._in = [_canopen(profile.parameters[name].address) for name in cycle.in_]
@@ -121,8 +121,8 @@ class CanopenBus:
         """Write a PDO's mapping, unless the drive has it already; remember what was there."""
         wire = self._wire
         raw_id = _u32(wire.upload(pdo.communication, 1))
-        number = raw_id & 0x7FF or default_id + wire.node
-        pdo.cob_id = number
+        pdo.cob_id = raw_id & 0x7FF or default_id + wire.node
+        number = raw_id & _PDO_FLAGS | pdo.cob_id
         kind = wire.upload(pdo.communication, 2)[:1]
         count = wire.upload(pdo.mapping, 0)[0]
         there = [_u32(wire.upload(pdo.mapping, n + 1)) for n in range(count)]
@@ -169,7 +169,9 @@ class CanopenBus:
             wire.send(SYNC, b"")
             data = wire.take_tpdo(self._deadline)
             if data is not None and len(data) >= self._in_format.size:
-                return Exchange(self._in_format.unpack_from(data), sent, time, lateness, missed)
+                return Exchange(
+                    self._in_format.unpack_from(data), values, sent, time, lateness, missed
+                )
             missed += 1
             if missed >= MISSED_CYCLES:
                 raise LinkLost(
@@ -197,6 +199,12 @@ class CanopenBus:
                 "the drive does not step: serve it with --clock step, or leave clock=step away"
             ) from None
 
+    def other_master(self) -> str:
+        """COB-ID of a frame that only another master would send."""
+        self._wire.drain()
+        seen = self._wire.foreign_master
+        return "" if seen is None else f"a frame with COB-ID {seen:03X}h"
+
     def trouble(self) -> str:
         """Last emergency of the node."""
         if self._wire.emergency is None:
@@ -206,15 +214,15 @@ class CanopenBus:
 
     def close(self) -> None:
         """Put the PDO mapping back and let go of the adapter."""
+        self._running = False
         try:
-            if self._running:
-                self._running = False
+            if self._restore:
                 self._wire.nmt(NMT_PRE_OPERATIONAL)
-                for index, sub, data in reversed(self._restore):
+            for index, sub, data in reversed(self._restore):
+                with contextlib.suppress(AccessDenied):  # volatile, and the next entry may be taken
                     self._wire.download(index, sub, data)
         except TwoRelayError:
-            # the mapping is volatile and the link is already reported as lost
-            self._restore.clear()
+            self._restore.clear()  # a dead link is reported by whoever used it
         finally:
             self._wire.close()
 

@@ -60,11 +60,11 @@ def open_bus(interface: str, channel: str, bitrate: int, timeout: float) -> can.
             known = ", ".join(sorted(can.VALID_INTERFACES))
             raise UsageError(f"no CAN interface '{interface}'; python-can has: {known}") from None
         raise LinkError(
-            f"CAN interface '{interface}' cannot be used here: {error}; is its driver installed?"
+            f"CAN interface '{interface}' cannot be used here: {_first_line(error)}; is its driver installed?"
         ) from None
-    except (can.CanError, OSError, ValueError, TimeoutError) as error:
+    except Exception as error:
         raise LinkError(
-            f"cannot open CAN channel '{channel}' on '{interface}': {error}; is the adapter "
+            f"cannot open CAN channel '{channel}' on '{interface}': {_first_line(error)}; is the adapter "
             "plugged in, and free?"
         ) from None
     if interface == "socketcand":
@@ -105,6 +105,16 @@ def _greet(host: str, port: int, timeout: float) -> None:
         ) from None
     if not hello.startswith(b"< hi"):
         raise LinkError(f"{host}:{port} is no socketcand server: it says {hello[:20]!r}")
+
+
+def _first_line(error: Exception) -> str:
+    """Libraries put tracebacks into their messages; people get the first line."""
+    lines = str(error).splitlines()
+    return (
+        lines[0].removesuffix("Traceback (most recent call last):").strip()
+        if lines
+        else (type(error).__name__)
+    )
 
 
 def _waitable(bus: can.BusABC) -> int | None:
@@ -150,7 +160,7 @@ class CanWire:
         try:
             self._bus.send(message, timeout=0.1)
         except (can.CanError, OSError, ValueError) as error:
-            raise LinkLost(f"cannot send on the CAN bus: {error}") from None
+            raise LinkLost(f"cannot send on the CAN bus: {_first_line(error)}") from None
         if self._trace is not None:
             self._trace(True, cob_id, data)
 
@@ -171,7 +181,7 @@ class CanWire:
             if isinstance(error.__cause__ or error.__context__, ValueError):
                 self.garbled += 1
                 return True
-            raise LinkLost(f"the CAN adapter failed: {str(error).splitlines()[0]}") from None
+            raise LinkLost(f"the CAN adapter failed: {_first_line(error)}") from None
         if message is None:
             return False
         data = bytes(message.data)

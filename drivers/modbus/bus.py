@@ -12,7 +12,6 @@ from profiles.schema import Address, Identity, ModbusAddress, Profile
 __all__ = ["ModbusBus", "identify"]
 
 MISSED_CYCLES = 3  # consecutive cycles without a sample are a lost link (safety, receive deadline)
-SHORTEST_DEADLINE = 0.02  # s: below this, a stall of the host would pass for a dead link
 
 
 def identify(client: Client) -> Identity:
@@ -45,9 +44,11 @@ class ModbusBus:
         self._client = client
         self._pace = pace
         self._profile = profile
-        self._deadline = max(pace.cycle, SHORTEST_DEADLINE)
+        self._deadline = max(pace.cycle, profile.watchdog.deadline)
+        self._idle: tuple[int, ...] = (0,) * len(profile.cycle.out)
         self._out = _Block(profile, profile.cycle.out)
         self._in = _Block(profile, profile.cycle.in_)
+        self._before: tuple[tuple[int, ...], float] | None = None  # command in force, when it left
         self._one_transaction = profile.cycle.function == "fc23"
         if pace.stepping:
             self._set_simulation("simulation_cycle", pace.cycle)
@@ -78,7 +79,9 @@ class ModbusBus:
         self._client.post(at.write_function, at.register_, encode(at, raw))
 
     def start(self, idle: tuple[int, ...]) -> None:
-        """Nothing to set up: the cycle begins with the first exchange."""
+        """The cycle begins with the first exchange; until then `idle` is in force."""
+        self._before = None
+        self._idle = idle
 
     def exchange(self, values: tuple[int, ...]) -> Exchange:
         """One cycle; a missing answer lets the next cycle go out, three of them are a lost link."""
@@ -99,9 +102,14 @@ class ModbusBus:
                     ) from None
                 continue
             received = pace.now()
-            # in real time the drive latched the position between the two, most likely midway
-            time = received if pace.stepping else 0.5 * (sent + received)
-            return Exchange(self._in.decode(answer), sent, time, lateness, missed)
+            feedback = self._in.decode(answer)
+            if pace.stepping:
+                return Exchange(feedback, values, sent, received, lateness, missed)
+            # in real time the drive latches the position right after it took the command, so that
+            # what acted until then is the command before; most likely it was midway
+            in_force, left = self._before or (self._idle, sent - pace.cycle)
+            self._before = (values, sent)
+            return Exchange(feedback, in_force, left, 0.5 * (sent + received), lateness, missed)
 
     def _transact(self, words: list[int]) -> list[int]:
         client, out, into = self._client, self._out, self._in
@@ -129,6 +137,10 @@ class ModbusBus:
             raise LinkError(
                 "the drive does not step: serve it with --clock step, or leave clock=step away"
             ) from None
+
+    def other_master(self) -> str:
+        """Modbus shows no other client."""
+        return ""
 
     def trouble(self) -> str:
         """Modbus drives report nothing by themselves."""

@@ -100,7 +100,7 @@ AXES: dict[str, VirtualAxis] = {
         VirtualAxis(
             name="vertical", title="Vertical axis with a holding brake", motion="rotary",
             inertia=1e-4, viscous=2e-4, coulomb=0.08, load=0.15,
-            rated=1.3, peak=3.9, speed=300.0, travel=6.283185307179586, brake=True,
+            rated=1.3, peak=3.9, speed=300.0, travel=12.566370614359172, brake=True,
         ),
         VirtualAxis(
             name="emps", title="EMPS ball-screw slide", motion="linear",
@@ -108,6 +108,12 @@ AXES: dict[str, VirtualAxis] = {
             rated=117.2, peak=351.5, speed=1.0, travel=0.12, encoder=2e7,
         ),
     )
+}  # fmt: skip
+
+# what the drive's registers can hold, and what its firmware can step
+_RANGES = {
+    "encoder": (16, 2**30), "cycle": (1e-5, 1.0), "rated": (1e-3, 4000.0),
+    "speed": (1e-3, 1e4), "delay": (0, 1.0), "watchdog": (0, 60.0), "lag": (0, 10.0),
 }  # fmt: skip
 
 _OPTIONS = {
@@ -137,9 +143,16 @@ def configured(name: str, options: dict[str, str]) -> VirtualAxis:
     for key in ("encoder", "cycle", "rated", "peak", "speed", "travel"):
         if not getattr(axis, key) > 0:
             raise UsageError(f"virtual axis '{name}': {key} is {getattr(axis, key):g}: must be > 0")
-    for key in ("delay", "watchdog"):
-        if getattr(axis, key) < 0:
-            raise UsageError(f"virtual axis '{name}': {key} is negative")
+    for key, (low, high) in _RANGES.items():
+        if not low <= getattr(axis, key) <= high:
+            raise UsageError(
+                f"virtual axis '{name}': {key} is {getattr(axis, key):g}: must be {low:g}…{high:g}"
+            )
+    if not axis.rated <= axis.peak <= 30 * axis.rated:
+        raise UsageError(
+            f"virtual axis '{name}': peak is {axis.peak:g}: must be {axis.rated:g}…"
+            f"{30 * axis.rated:g} (1 to 30 times rated)"
+        )
     return axis
 
 

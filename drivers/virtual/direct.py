@@ -79,6 +79,7 @@ class DirectBus:
         firmware.advance(self.device.cycle)
         return Exchange(
             (firmware.statusword, firmware.error_code, firmware.position, firmware.torque),
+            values,
             sent,
             firmware.now / SECOND,
             0.0,
@@ -88,6 +89,10 @@ class DirectBus:
     def wait(self, seconds: float) -> None:
         """Let simulated time pass."""
         self._firmware.advance(round(seconds * SECOND))
+
+    def other_master(self) -> str:
+        """There is only this process."""
+        return ""
 
     def trouble(self) -> str:
         """Nothing is reported beside the error code."""

@@ -20,6 +20,7 @@ __all__ = ["Denied", "Firmware", "Reason", "State"]
 
 SECOND = 1_000_000_000  # ns
 _TICK = 250_000  # ns: period of the drive's own position and velocity loops
+_HALF_TURN_OF_I32 = 1 << 31  # a 32-bit position counter rolls over
 _SUPERVISION = 1_000_000  # ns: how often the limits are looked at where no loop is closed
 _NEVER = 1 << 62
 _STORE_TIME = 20_000_000  # ns: the EEPROM is busy
@@ -215,17 +216,23 @@ class Firmware:
     @property
     def position(self) -> int:
         """Position actual value, increments."""
-        return round(self.plant.position / self._resolution)
+        counts = round(self.plant.position / self._resolution)
+        if -_HALF_TURN_OF_I32 <= counts < _HALF_TURN_OF_I32:
+            return counts
+        return (counts + _HALF_TURN_OF_I32) % (2 * _HALF_TURN_OF_I32) - _HALF_TURN_OF_I32
 
     @property
     def velocity(self) -> int:
         """Velocity actual value, increments/s."""
-        return round(self.plant.velocity / self._resolution)
+        counts = round(self.plant.velocity / self._resolution)
+        return max(-_HALF_TURN_OF_I32, min(_HALF_TURN_OF_I32 - 1, counts))
 
     @property
     def torque(self) -> int:
         """Torque actual value, per mille of rated."""
-        return round(self.plant.torque / self._unit) if self._energised else 0
+        if not self._energised:
+            return 0
+        return max(-32768, min(32767, round(self.plant.torque / self._unit)))
 
     def read(self, key: str) -> int:
         """Raw value of an object; raises Denied."""
@@ -268,9 +275,11 @@ class Firmware:
         """Save the non-volatile objects; busy for a while; raises Denied while enabled."""
         if self._energised:
             raise Denied(Reason.STATE)
-        self.memory.save(
-            {key: self.values[key] for key, item in self._objects.items() if item.nonvolatile}
-        )
+        kept = {key: self.values[key] for key, item in self._objects.items() if item.nonvolatile}
+        try:
+            self.memory.save(kept)
+        except OSError:
+            raise Denied(Reason.STATE) from None
         self.store_busy_until = self.now + _STORE_TIME
 
     def feed_watchdog(self) -> None:
@@ -331,9 +340,10 @@ class Firmware:
         elif word & 0x0F in (0x06, 0x0E):  # shutdown
             if state is State.OPERATION_ENABLED:
                 self._begin_stop(State.READY_TO_SWITCH_ON)
+            elif self._energised:
+                self._power_off(State.READY_TO_SWITCH_ON)
             else:
                 self.state = State.READY_TO_SWITCH_ON
-                self._energised = False
         elif word & 0x0F == 0x07:  # switch on, or disable operation
             if state is State.OPERATION_ENABLED:
                 self._begin_stop(State.SWITCHED_ON)

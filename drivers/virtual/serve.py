@@ -68,7 +68,12 @@ async def _serve(
                 for link in links:
                     announce(link + suffix)
         except (OSError, RuntimeError) as error:
-            raise UsageError(f"cannot serve: {error}; is the port taken?") from None
+            places = [p for p in (endpoints.modbus_tcp, endpoints.socketcand) if p is not None]
+            where = " or ".join(f"{host}:{port}" for host, port in places)
+            raise UsageError(
+                f"cannot serve on {where}: the port is taken, or the address is not this machine's "
+                f"({type(error).__name__})"
+            ) from None
         while not end.is_set():
             poll()
             with contextlib.suppress(TimeoutError):

@@ -37,11 +37,12 @@ def test_the_stopping_distance_counts_towards_the_travel() -> None:
         w.check(sample(0.02, 1.10))  # 0.1 + 0.225 > 0.3
 
 
-def test_moving_back_needs_no_stopping_distance() -> None:
+def test_moving_back_counts_from_the_other_end() -> None:
     w = watch(stopping=Stopping(1e-3, 0.1, 0.2, 0.01), relay_torque=0.4, travel=0.3)
     w.check(sample(0.00, 1.25))
-    w.check(sample(0.01, 1.20))
-    w.check(sample(0.02, 1.15))
+    w.check(sample(0.01, 1.20))  # 5 rad/s inwards: stops 0.025 beyond the centre
+    with pytest.raises(EnvelopeTripped, match="travel"):
+        w.check(sample(0.02, 1.10))  # 10 rad/s inwards: 0.115 + 0.4225 − 0.1 > 0.3
 
 
 @pytest.mark.parametrize(

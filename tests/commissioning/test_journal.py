@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from commissioning.journal import Journal
-from commissioning.settings import Settings, put_back
+from commissioning.settings import Settings, put_back, settle
 from drivers.drive import Drive
 from drivers.link import axis_of, open_drive
 from profiles.errors import JournalError, LinkLost, UnknownName, UsageError
@@ -66,7 +66,8 @@ def test_restore_goes_back_to_the_oldest_value(journal: Journal, drive: Drive) -
     settings = Settings(journal, run, drive)
     for value in (50, 60, 70):
         settings.write("compensation", "coulomb_positive", value)
-    outcome = put_back(drive, journal, journal.intents(run, open_only=True))
+    outcome = put_back(drive, journal.intents(run, open_only=True))
+    settle(journal, journal.intents(run), outcome)
     assert outcome.restored == ["coulomb_positive"]
     assert drive.read_raw("coulomb_positive") == 0
     assert journal.intents(run, open_only=True) == []
@@ -77,11 +78,11 @@ def test_restore_leaves_somebody_else_s_value_alone(journal: Journal, drive: Dri
     Settings(journal, run, drive).write("compensation", "coulomb_positive", 50)
     drive.write_raw("coulomb_positive", 99)
     intents = journal.intents(run, open_only=True)
-    outcome = put_back(drive, journal, intents)
+    outcome = put_back(drive, intents)
     assert not outcome.complete
     assert "neither the old 0 nor" in str(outcome)
     assert drive.read_raw("coulomb_positive") == 99
-    assert put_back(drive, journal, intents, force=True).complete
+    assert put_back(drive, intents, force=True).complete
     assert drive.read_raw("coulomb_positive") == 0
 
 

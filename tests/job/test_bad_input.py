@@ -20,6 +20,8 @@ from profiles.schema import Mode
 from tests.conftest import WIRES, Serve, Tworelay, real_time, running
 
 TRAVEL = ("--travel", "3", "--yes")
+# in real time, on test machines that stall
+PATIENT = ("--travel", "20", "--yes", "--cycle", "0.01", "--watchdog", "0.2")
 
 
 def one_line(done: subprocess.CompletedProcess[str], code: int, words: str) -> None:
@@ -64,8 +66,16 @@ def assert_safe_and_complete(link: str) -> None:
         (["identify"], "Missing argument"),
         (["frobnicate"], "No such command"),
         (["report", "nosuch"], "no run named 'nosuch'"),
-        (["restore"], "no run with anything to restore"),
         (["profile", "check", "nosuch.toml"], "cannot be read"),
+        (["identify", "virtual://bench", "--cycle", "nan"], "no finite number"),
+        (["identify", "virtual://bench", "--max-torque", "inf"], "no finite number"),
+        (["identify", "virtual://bench", "--json", "/no/such/folder/x"], "cannot be written"),
+        (["identify", "virtual://bench", "--trace", "x"], "has no frames"),
+        (["identify", "virtual://bench?encoder=1e12"], "must be 16…"),
+        (["identify", "virtual://bench?cycle=1e12"], "must be 1e-05…1"),
+        (["identify", "modbus-tcp://[::1"], "is no link"),
+        (["identify", "modbus-tcp://h?unit=²"], "only ASCII"),
+        (["identify", "x" * 300], "no link and no axis file"),
         (["virtual", "serve", "bench"], "serve where?"),
         (["virtual", "serve", "bench", "--modbus-tcp", "x"], "must be HOST:PORT"),
     ],
@@ -189,6 +199,7 @@ def test_an_axis_that_somebody_else_moves(tworelay: Tworelay, serve: Serve) -> N
         ("bench", ["--travel", "0.001"], 3, "too small"),
         ("bench", ["--max-torque", "9"], 3, "above the drive's own limit"),
         ("bench", ["--duration", "2"], 5, "duration"),
+        ("bench", ["--cycle", "0.05"], 3, "too slow for the drive's watchdog"),
     ],
 )
 def test_what_the_axis_cannot_do(
@@ -215,7 +226,13 @@ def test_a_dry_run_writes_and_moves_nothing(tworelay: Tworelay, serve: Serve) ->
     assert tworelay("report", "last").returncode == 2, "and it is no run"
 
 
-def test_real_adapters_are_refused_in_ci(tworelay: Tworelay, serve: Serve) -> None:
+def test_real_adapters_are_refused_in_ci_before_they_are_touched(
+    tworelay: Tworelay, serve: Serve
+) -> None:
+    for real in ("modbus-tcp://192.0.2.1", "canopen://socketcan/can0?node=5"):
+        for command in (["identify", real, *TRAVEL], ["stop", real]):
+            refused = tworelay(*command, environment={"CI": "true"})
+            one_line(refused, 3, "CI is set and")
     link = serve("bench", *WIRES["modbus-tcp"], "--clock", "step")[0]
     done = tworelay("identify", link, *TRAVEL, environment={"CI": "true"})
     assert done.returncode == 0, "loopback is no machine"
@@ -243,7 +260,7 @@ def wait_for(process: subprocess.Popen[str], words: str) -> None:
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_ctrl_c_in_mid_test(serve: Serve, wire: str, number: signal.Signals, code: int) -> None:
     link = serve("bench", *WIRES[wire])[0]
-    with running("identify", link, *TRAVEL, "--cycle", "0.01") as process:
+    with running("identify", link, *PATIENT) as process:
         wait_for(process, "staging")
         process.send_signal(number)
         _, errors = process.communicate(timeout=30)
@@ -308,7 +325,7 @@ def test_the_link_is_cut_in_mid_test(tworelay: Tworelay, serve: Serve) -> None:
     port = int(link.split(":")[2].split("?")[0])
     cable = Cable(port)
     through = link.replace(str(port), str(cable.port))
-    with running("identify", through, *TRAVEL, "--cycle", "0.01") as process:
+    with running("identify", through, *PATIENT) as process:
         wait_for(process, "staging")
         cable.cut()
         _, errors = process.communicate(timeout=30)
@@ -334,7 +351,7 @@ def test_killed_in_mid_test_the_drive_stops_and_restore_completes(
     tworelay: Tworelay, serve: Serve, wire: str
 ) -> None:
     link = serve("bench", *WIRES[wire])[0]
-    with running("identify", link, *TRAVEL, "--cycle", "0.01") as process:
+    with running("identify", link, *PATIENT) as process:
         wait_for(process, "staging")
         process.kill()
         process.wait(10)

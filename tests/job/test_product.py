@@ -156,7 +156,7 @@ def test_an_axis_file_carries_link_travel_and_mechanics(
     link = serve("vertical", *WIRES["socketcand"], "--clock", "step")[0]
     path = tmp_path / "press-7-z.toml"
     path.write_text(
-        f'link = "{link}"\ntravel = 6.0\ncycle = 0.002\n[mechanics]\nheld_by = "brake"\n'
+        f'link = "{link}"\ntravel = 12.0\ncycle = 0.002\n[mechanics]\nheld_by = "brake"\n'
     )
     done = tworelay("identify", str(path), "--yes", "--json", "-")
     assert done.returncode == 0, done.stderr

@@ -221,7 +221,7 @@ def test_a_dry_run_writes_and_moves_nothing(tworelay: Tworelay, serve: Serve) ->
     link = serve("bench", *WIRES["modbus-tcp"], "--clock", "step")[0]
     done = tworelay("identify", link, "--travel", "3", "--dry-run")
     assert done.returncode == 0
-    assert "would set max_torque: 3000 → 1000" in done.stdout
+    assert "would set max_torque (register 0310h): 3000 → 1000 (x 0.001 rated)" in done.stdout
     assert_safe_and_complete(link)
     assert tworelay("report", "last").returncode == 2, "and it is no run"
 
@@ -341,6 +341,30 @@ def test_the_link_is_cut_in_mid_test(tworelay: Tworelay, serve: Serve) -> None:
     refused = tworelay("identify", link, *TRAVEL)
     one_line(refused, 3, "was cut off and left settings changed")
     restored = tworelay("restore", "--link", link)
+    assert restored.returncode == 0, restored.stderr
+    assert_safe_and_complete(link)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_run_killed_with_a_profile_of_its_own_can_be_restored(
+    tworelay: Tworelay, serve: Serve, tmp_path: Path
+) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        source_text("virtual-modbus").replace('name = "virtual-modbus"', 'name = "mine"')
+    )
+    link = serve("bench", *WIRES["modbus-tcp"], "--clock", "step")[0]
+    with running("identify", link, *TRAVEL, "--profile", str(path)) as process:
+        wait_for(process, "staging")
+        process.kill()
+        process.wait(10)
+    path.unlink()
+    blocked = tworelay("identify", link, *TRAVEL)
+    one_line(blocked, 3, "was cut off and left settings changed")
+    drive = opened(link)
+    drive.stop()  # the clock stands still, so no watchdog did it
+    drive.close()
+    restored = tworelay("restore")
     assert restored.returncode == 0, restored.stderr
     assert_safe_and_complete(link)
 

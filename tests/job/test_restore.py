@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 import pytest
 
@@ -67,6 +69,48 @@ def test_killed_at_any_step_of_apply_restore_brings_the_old_values_back(
     drive = open_drive(axis_of(link))
     assert drive.read_raw("coulomb_positive") == drive.read_raw("coulomb_negative") == 0
     drive.close()
+
+
+FAILING_STORE = textwrap.dedent(
+    """
+    import sys
+    from drivers.profiled import ProfiledDrive
+    from profiles.errors import WriteFailed
+
+    def broken(self):
+        raise WriteFailed("the memory of the drive is worn out")
+
+    ProfiledDrive.store = broken
+    sys.argv = ["tworelay", *sys.argv[1:]]
+    from commissioning.cli import main
+    main()
+    """
+)
+
+
+def test_a_store_that_failed_is_done_again(
+    tworelay: Tworelay, serve: Serve, tmp_path: Path
+) -> None:
+    state = tmp_path / "drive-0.json"
+    link = serve("bench", *WIRES["modbus-tcp"], "--clock", "step")[0]
+
+    def with_broken_store(*arguments: str) -> None:
+        done = subprocess.run(
+            [sys.executable, "-c", FAILING_STORE, *arguments], cwd=ROOT, env=os.environ,
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 7, done.stderr
+        assert "worn out" in done.stderr
+
+    assert tworelay("identify", link, "--travel", "3", "--yes").returncode == 0
+    with_broken_store("apply", "last", "--yes")
+    assert not state.exists()
+    assert tworelay("apply", "last", "--yes").returncode == 0, "the values were there, unstored"
+    assert json.loads(state.read_text())["coulomb_positive"] > 0
+    with_broken_store("restore")
+    assert json.loads(state.read_text())["coulomb_positive"] > 0
+    assert tworelay("restore").returncode == 0
+    assert json.loads(state.read_text())["coulomb_positive"] == 0
 
 
 def test_restore_refuses_a_value_that_somebody_changed_since(

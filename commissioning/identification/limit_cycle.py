@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["LimitCycle", "Periods", "measure", "periods_of", "settled"]
+__all__ = ["LimitCycle", "Periods", "measure", "periods_of", "reversal", "settled"]
 
 Array = NDArray[np.float64]
 
@@ -132,8 +132,8 @@ def periods_of(
 
 def _one(t: Array, y: Array, u: Array, begin: float, end: float, bias: float) -> tuple[float, ...]:
     period = end - begin
-    top_time, top = _reversal(t, y, u, int(y.argmax()))
-    bottom_time, bottom = _reversal(t, y, u, int(y.argmin()))
+    top_time, top = reversal(t, y, u, int(y.argmax()))
+    bottom_time, bottom = reversal(t, y, u, int(y.argmin()))
     falling = bottom_time - top_time  # the record begins rising
     steps = np.empty(len(t) + 1)
     steps[0], steps[1:-1], steps[-1] = t[0] - begin, t[1:] - t[:-1], end - t[-1]
@@ -154,7 +154,7 @@ def _one(t: Array, y: Array, u: Array, begin: float, end: float, bias: float) ->
     )
 
 
-def _reversal(t: Array, y: Array, u: Array, at: int) -> tuple[float, float]:
+def reversal(t: Array, y: Array, u: Array, at: int) -> tuple[float, float]:
     """Instant and position of a reversal: each side of it is a parabola of its own.
 
     Deceleration (d+f)/J before, (d−f)/J after: a fit across the reversal would smear it, and so

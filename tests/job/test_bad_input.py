@@ -335,9 +335,11 @@ def test_the_link_is_cut_in_mid_test(tworelay: Tworelay, serve: Serve) -> None:
     assert "use the emergency stop" in errors, "it is not verified that the axis is at rest"
     assert "max_torque" in errors, "what is not put back is named"
     drive = opened(link)
-    assert not drive.is_energised(), "the drive's own watchdog stopped it"
-    assert drive.read_raw("max_torque") == 1000
+    drive.wait(0.5)  # the time-out of its watchdog, and the stop
+    energised, limit = drive.is_energised(), drive.read_raw("max_torque")
     drive.close()
+    assert not energised, "the drive's own watchdog stopped it"
+    assert limit == 1000
     refused = tworelay("identify", link, *TRAVEL)
     one_line(refused, 3, "was cut off and left settings changed")
     restored = tworelay("restore", "--link", link)
@@ -379,6 +381,9 @@ def test_killed_in_mid_test_the_drive_stops_and_restore_completes(
         wait_for(process, "staging")
         process.kill()
         process.wait(10)
+    drive = opened(link)
+    drive.wait(0.5)  # the time-out of its watchdog, and the stop
+    drive.close()
     restored = tworelay("restore")
     assert restored.returncode == 0, restored.stderr
     assert "max_torque" in restored.stdout

@@ -31,10 +31,13 @@ WIRES = {
 CYCLES = (0.001, 0.002, 0.004, 0.005, 0.010)
 
 
-def measure(link: str, cycle: float, travel: float | None = None) -> dict[str, Any]:
+def measure(
+    link: str, cycle: float, travel: float | None = None, method: str = "two-relay"
+) -> dict[str, Any]:
     with Journal(Path(os.environ["TWORELAY_HOME"])) as journal, Interruption() as interruption:
         desk = Desk(journal, interruption, lambda text: None, lambda question, word: True)
-        return session.identify(axis_of(link), Options(cycle=cycle, travel=travel), desk)
+        options = Options(cycle=cycle, travel=travel, method=method)
+        return session.identify(axis_of(link), options, desk)
 
 
 def serve(*arguments: str) -> tuple[subprocess.Popen[str], str]:
@@ -51,9 +54,10 @@ def error_of(result: dict[str, Any], truth: float) -> str:
 def accuracy() -> list[str]:
     """Error of |f| by (4.16) on every axis and over every wire."""
     lines = [
-        "# Error of the Coulomb friction by `two-relay` (4.16)",
+        "# Error of the Coulomb friction",
         "",
-        "Written by `make bench`. Against the friction of the virtual axis; – where the job was refused.",
+        "Written by `make bench`. Against the friction of the virtual axis; – (exit code) where the job was",
+        "refused. By `two-relay` (4.16):",
         "",
         "| in process | " + " | ".join(f"{cycle * 1000:g} ms" for cycle in CYCLES) + " |",
         "| --- |" + " --- |" * len(CYCLES),
@@ -63,6 +67,25 @@ def accuracy() -> list[str]:
         for cycle in CYCLES:
             try:
                 cells.append(error_of(measure(f"virtual://{name}", cycle), axis.coulomb))
+            except session.Failure as failure:
+                cells.append(f"– ({failure.error.exit_code})")
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    lines += [
+        "",
+        "By `modulating`, on a dozen periods: error of f / of J.",
+        "",
+        "| in process | " + " | ".join(f"{cycle * 1000:g} ms" for cycle in CYCLES) + " |",
+        "| --- |" + " --- |" * len(CYCLES),
+    ]
+    for name, axis in AXES.items():
+        cells = []
+        for cycle in CYCLES:
+            try:
+                friction = measure(f"virtual://{name}", cycle, method="modulating")["friction"]
+                f, j = friction["coulomb"]["value"], friction["inertia"]["value"]
+                cells.append(
+                    f"{100 * (f / axis.coulomb - 1):+.2f} / {100 * (j / axis.inertia - 1):+.1f} %"
+                )
             except session.Failure as failure:
                 cells.append(f"– ({failure.error.exit_code})")
         lines.append(f"| {name} | " + " | ".join(cells) + " |")

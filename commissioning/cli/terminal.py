@@ -159,7 +159,12 @@ _JOB_OPTIONS = [
         "--fraction", type=Finite(0, 1), default=0.85, show_default=True,
         help="Share of the friction to compensate; the offset is compensated whole.",
     ),
-    click.option("--method", type=click.Choice(["two-relay"]), default="two-relay", show_default=True),
+    click.option(
+        "--method", type=click.Choice(["two-relay", "modulating", "all"]), default="two-relay",
+        show_default=True,
+        help="two-relay: the thesis; modulating: short and finer; all: the tests of the first, read "
+        "by both.",
+    ),
     click.option(
         "--solver", type=click.Choice(["bracket", "thesis"]), default="bracket", show_default=True,
         help="Search for equal periods: bracketing secant, or rule (4.21) of the thesis.",

@@ -31,7 +31,7 @@ from profiles.errors import MeasurementRejected, PreflightRefused
 
 __all__ = ["RelayDesign", "TwoRelay", "design", "two_relay"]
 
-Solver = Literal["bracket", "thesis"]
+Solver = Literal["bracket", "thesis", "none"]
 
 # Comfortable conditioning (method.md 2): f/d1 in 0.4–0.6, d2/d1 at least 1.5
 _D1_FRICTION, _D1_BREAKAWAY = 1.7, 1.3
@@ -163,7 +163,11 @@ def two_relay(
     solver: Solver = "bracket",
     k_epsilon: float = 0.1,
 ) -> Plan[TwoRelay]:
-    """Both tests; returns the two limit cycles. Raises MeasurementRejected."""
+    """Both tests; returns the two limit cycles. Raises MeasurementRejected.
+
+    `solver`: how the second test finds the period of the first; "none" leaves it at its own, which is
+    enough for modulating functions, and short.
+    """
     relay = Relay(plan.d1, plan.hysteresis, context.start, context.cycle, plan.bias)
     test = _Test(context, relay, longest=4 * plan.period + 0.5)
     yield from _stage(test, plan)
@@ -177,6 +181,10 @@ def two_relay(
     ratio = (1 - (friction / plan.d2) ** 2) / (1 - (friction / plan.d1) ** 2)
     if solver == "thesis":
         second, span, tests = yield from _match_by_rule(test, first, k_epsilon)
+    elif solver == "none":
+        test.relay.hysteresis = _FROM_BELOW * first.hysteresis * ratio
+        second, span = yield from _short(test)
+        tests = 1
     else:
         # delay lowers the ratio, and from below the larger swing cannot overshoot the travel
         test.relay.hysteresis = _FROM_BELOW * first.hysteresis * ratio
@@ -336,6 +344,14 @@ def _settle(test: _Test, number: int) -> Plan[tuple[LimitCycle, tuple[float, flo
     )
     span = (float(last.start[0]), float(last.start[-1] + last.period[-1]))
     return cycle_found, span
+
+
+def _short(test: _Test) -> Plan[tuple[LimitCycle, tuple[float, float]]]:
+    """Some periods, settled or not."""
+    relay = test.relay
+    periods = yield from test.run(lambda p: len(p) >= FEWEST, FEWEST, test.longest)
+    cycle = measure(periods, relay.amplitude, relay.hysteresis, relay.bias, is_settled=False)
+    return cycle, (float(periods.start[0]), float(periods.start[-1] + periods.period[-1]))
 
 
 def _tolerance(first: LimitCycle, second: LimitCycle, cycle: float) -> float:

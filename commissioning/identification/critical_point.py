@@ -12,7 +12,7 @@ from math import degrees, pi
 from commissioning.identification.describing_function import equivalent, relay
 from commissioning.identification.limit_cycle import LimitCycle
 
-__all__ = ["CriticalPoint", "corrected", "hysteresis_only", "naive"]
+__all__ = ["CriticalPoint", "corrected", "from_model", "hysteresis_only", "naive"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +59,15 @@ def corrected(cycle: LimitCycle, complex_coulomb: complex) -> CriticalPoint:
     """With hysteresis and the complex friction f̄, which carries the loop's dead time."""
     n = equivalent(cycle.half_swing, cycle.relay_amplitude, cycle.hysteresis, complex_coulomb)
     return _point(-1 / complex(n), cycle.period)
+
+
+def from_model(inertia: float, viscous: float, dead_time: float, period: float) -> CriticalPoint:
+    """The point of the identified rigid axis, e^(−jωτ)/(−J·ω² + j·ω·B), at a period."""
+    w = 2 * pi / period
+    value = 1 / complex(-inertia * w * w, viscous * w)
+    point = _point(value, period)
+    phase_deg = (point.phase_deg - degrees(w * dead_time)) % -360
+    return CriticalPoint(point.gain, phase_deg, period)
 
 
 def _point(value: complex, period: float) -> CriticalPoint:

@@ -106,7 +106,7 @@ def tests_over_time(samples: Samples, result: dict[str, Any]) -> str:
 def phase_plane(samples: Samples, result: dict[str, Any]) -> str:
     """Velocity over position of both limit cycles, with the switching points."""
     units = result["units"]
-    method = result["methods"]["two-relay"]
+    cycles = result["experiment"]["cycles"]
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(4.5, 3.9), layout="constrained")
         axes = figure.subplots()
@@ -115,7 +115,7 @@ def phase_plane(samples: Samples, result: dict[str, Any]) -> str:
             axes.plot(
                 samples["position"][cut], _velocity(samples, cut), lw=1.0,
                 color=(BLUE, ORANGE)[n], ls=("-", "--")[n],
-                label=f"d = ±{method['relay_amplitude'][n]:.3g} {units['effort']}",
+                label=f"d = ±{cycles[n]['relay_amplitude']:.3g} {units['effort']}",
             )  # fmt: skip
         axes.set_xlabel(f"position in {units['position']}")
         axes.set_ylabel(f"velocity in {units['position']}/s")
@@ -125,14 +125,14 @@ def phase_plane(samples: Samples, result: dict[str, Any]) -> str:
 
 def nyquist(result: dict[str, Any]) -> str:
     """The −1/N loci of both tests, without and with friction, and the three readings of G."""
-    method, points = result["methods"]["two-relay"], result["critical_point"]
-    coulomb = complex(method["real"], method["imaginary"])
+    cycles, points = result["experiment"]["cycles"], result["critical_point"]
+    coulomb = complex(*result["experiment"]["complex_coulomb"])
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(4.7, 3.9), layout="constrained")
         axes = figure.subplots()
         for n in (0, 1):
-            d, eps = method["relay_amplitude"][n], method["hysteresis"][n]
-            swings = np.linspace(eps * (1 + 1e-9), 2.2 * method["half_swing"][n], 300)
+            d, eps = cycles[n]["relay_amplitude"], cycles[n]["hysteresis"]
+            swings = np.linspace(eps * (1 + 1e-9), 2.2 * cycles[n]["half_swing"], 300)
             without = -1 / relay(swings, d, eps)
             with_friction = -1 / equivalent(swings, d, eps, coulomb)
             color = (BLUE, ORANGE)[n]
@@ -169,7 +169,7 @@ def _window(
     samples: Samples, result: dict[str, Any], test: int, begin: float, end: float
 ) -> tuple[NDArray[np.intp], float]:
     """Indices of the last few periods of a test, and its period in s."""
-    period = result["methods"]["two-relay"]["period"][test]
+    period = result["experiment"]["cycles"][test]["period"]
     first = max(begin, end - _SHOWN_PERIODS * period)
     time = samples["time"]
     return np.flatnonzero((time >= first) & (time <= end)), period

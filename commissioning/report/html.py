@@ -39,7 +39,7 @@ def _render(result: dict[str, Any], samples: Samples | None, journal: dict[str, 
     if samples is not None and len(samples) > 1:
         pictures["overview"] = markupsafe.Markup(figures.overview(samples, result["units"]))  # noqa: S704
         stages = figures.stages(samples)
-        if "two-relay" in result["methods"]:
+        if result["methods"]:
             pictures["tests"] = markupsafe.Markup(figures.tests_over_time(samples, result))  # noqa: S704
             pictures["phase_plane"] = markupsafe.Markup(figures.phase_plane(samples, result))  # noqa: S704
             pictures["nyquist"] = markupsafe.Markup(figures.nyquist(result))  # noqa: S704

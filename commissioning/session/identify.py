@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
-from math import inf
+from math import cos, inf, pi, sin
 from typing import Any, TypeVar
 
 from commissioning.compensation import Change, Known, propose
@@ -15,6 +15,9 @@ from commissioning.experiments.first_look import FirstLook, first_look
 from commissioning.experiments.plan import Context, Plan, stand
 from commissioning.experiments.stopping import Stopping, run_up
 from commissioning.experiments.two_relay import RelayDesign, Solver, TwoRelay, design, two_relay
+from commissioning.identification.critical_point import corrected, from_model
+from commissioning.identification.modulating import ModulatingEstimate, Record
+from commissioning.identification.modulating import estimate as modulating
 from commissioning.identification.two_relay import Estimate, FrictionEstimate, from_cycles
 from commissioning.runner import Recorder, run
 from commissioning.runs import RunFolder, Samples
@@ -31,8 +34,10 @@ from commissioning.session.result import (
     blank,
     changes_json,
     critical_points,
+    cycles_json,
     friction_json,
     method_json,
+    modulating_json,
 )
 from commissioning.settings import Settings
 from drivers.drive import Drive
@@ -58,6 +63,10 @@ _BRAKING_SHARE = 0.7  # of the braking that was seen, for what is certain
 _NOTICE = 4  # cycles: three missed ones and the one under way
 _LEAST_PERIOD = 20  # dead times
 _LEAST_CYCLES = 25  # a period
+_SECOND_PERIODS = 6.5  # of test 2, for modulating functions
+_SEEN = 0.6  # relative half-width up to which viscous friction counts as seen
+_LARGEST_RESIDUAL = 0.03  # of the right-hand side
+_LARGEST_DIFFERENCE = 0.02  # of the friction, between two halves of the record
 _LIMITED_SHARE = 0.002  # of the cycles
 
 
@@ -75,7 +84,37 @@ class _Measured:
     look: FirstLook
     plan: RelayDesign
     tests: TwoRelay
-    estimate: FrictionEstimate
+    balance: FrictionEstimate | None
+    modulating: ModulatingEstimate | None
+
+    @property
+    def coulomb(self) -> Estimate:
+        """From the chosen method."""
+        return self._chosen.coulomb
+
+    @property
+    def offset(self) -> Estimate:
+        """From the chosen method."""
+        return self._chosen.offset
+
+    @property
+    def _chosen(self) -> ModulatingEstimate | FrictionEstimate:
+        found = self.modulating or self.balance
+        assert found is not None
+        return found
+
+    @property
+    def viscous(self) -> Estimate | None:
+        """Viscous friction where the record lets it be seen."""
+        found = self.modulating.viscous if self.modulating else None
+        if found is None or found.value <= 0:
+            return None
+        return found if _half_width(found) <= _SEEN else None
+
+
+def _half_width(estimate: Estimate) -> float:
+    """Relative half-width of an interval."""
+    return (estimate.high - estimate.low) / (2 * abs(estimate.value))
 
 
 def identify(axis: Axis, options: Options, desk: Desk) -> dict[str, Any]:
@@ -295,18 +334,48 @@ class _Job:
             relay_torque=plan.d2,
         )
         tests = self._run(self._relay_job(known, plan), rest)
-        estimate = from_cycles(tests.first, tests.second, self.drive.cycle)
-        if not 0 < estimate.coulomb.value < plan.d1:
+        method = self.options.method
+        measured = _Measured(
+            known,
+            plan,
+            tests,
+            from_cycles(tests.first, tests.second, self.drive.cycle)
+            if method != "modulating"
+            else None,
+            self._modulating(tests) if method != "two-relay" else None,
+        )
+        found = measured.coulomb.value
+        if not 0 < found < plan.d1:
             raise MeasurementRejected(
-                f"the two relay tests give a friction of {estimate.coulomb.value:.4g} "
+                f"the relay tests give a friction of {found:.4g} "
                 f"{self.axis.effort_unit}, which their own amplitude of {plan.d1:.4g} "
                 f"{self.axis.effort_unit} contradicts; is the axis rigid, and free to move?"
             )
-        return _Measured(known, plan, tests, estimate)
+        return measured
+
+    def _modulating(self, tests: TwoRelay) -> ModulatingEstimate:
+        """Modulating functions on the last periods of test 1 and the first of test 2."""
+        samples = self.recorder.samples
+        begin, turn = tests.first_span
+        end = turn + _SECOND_PERIODS * tests.first.period
+        cut = [s for s in samples if begin <= s.time <= end]
+        record = Record.of(
+            [s.time for s in cut],
+            [s.position for s in cut],
+            [s.sent for s in cut],
+            [s.command for s in cut],
+            self.context.resolution,
+        )
+        try:
+            return modulating(record)
+        except ValueError as error:
+            raise MeasurementRejected(f"modulating functions: {error}") from None
 
     def _relay_job(self, known: FirstLook, plan: RelayDesign) -> Plan[TwoRelay]:
         yield from approach(self.context, self.context.start, known)
         solver: Solver = "thesis" if self.options.solver == "thesis" else "bracket"
+        if self.options.method == "modulating":
+            solver = "none"
         return (yield from two_relay(self.context, plan, known, solver=solver))
 
     def _holding_torque(self) -> float:
@@ -361,15 +430,32 @@ def _fill(
     limits: Limits,
 ) -> None:
     """Put the numbers into the result."""
-    estimate, known = measured.estimate, measured.look
+    known, first = measured.look, measured.tests.first
+    balance, fast = measured.balance, measured.modulating
     estimates: dict[str, Estimate | None] = {
-        "coulomb": estimate.coulomb,
-        "offset": estimate.offset,
+        "coulomb": measured.coulomb,
+        "offset": measured.offset,
+        "viscous": measured.viscous,
     }
-    result["friction"] = friction_json("two-relay", estimates, axis, drive.profile, drive.scaling)
-    result["methods"] = {"two-relay": method_json(estimate)}
-    result["critical_point"] = critical_points(estimate.first, estimate.complex_coulomb)
+    if fast is not None:
+        estimates |= {"inertia": fast.inertia, "dead_time": fast.dead_time}
+        result["methods"]["modulating"] = modulating_json(fast)
+        turn = 2 * pi / first.period * fast.dead_time.value
+        complex_coulomb = fast.coulomb.value * complex(cos(turn), sin(turn))
+        right = from_model(
+            fast.inertia.value, fast.viscous.value, fast.dead_time.value, first.period
+        )
+    if balance is not None:
+        result["methods"]["two-relay"] = method_json(balance)
+        if fast is None:
+            complex_coulomb = balance.complex_coulomb
+            right = corrected(first, complex_coulomb)
+    method = "modulating" if fast is not None else "two-relay"
+    result["friction"] = friction_json(method, estimates, axis, drive.profile, drive.scaling)
+    result["critical_point"] = critical_points(first, right)
     result["experiment"] = _experiment(recorder, drive.cycle, measured.tests.periods)
+    result["experiment"]["cycles"] = cycles_json((first, measured.tests.second))
+    result["experiment"]["complex_coulomb"] = [complex_coulomb.real, complex_coulomb.imag]
     result["experiment"] |= {
         "spans": [list(measured.tests.first_span), list(measured.tests.second_span)],
         "tests": measured.tests.tests,
@@ -397,9 +483,9 @@ def _fill(
 
 def _quality(measured: _Measured, cycle: float, samples: list[Sample]) -> dict[str, Any]:
     reasons = []
-    tests, f = measured.tests, measured.estimate.coulomb.value
+    tests, f = measured.tests, measured.coulomb.value
     for number, test in ((1, tests.first), (2, tests.second)):
-        if not test.settled:
+        if not test.settled and measured.balance is not None:
             reasons.append(f"relay test {number} did not settle within {test.periods} periods")
     if tests.first.period < _LEAST_PERIOD * measured.look.dead_time:
         reasons.append(
@@ -412,6 +498,14 @@ def _quality(measured: _Measured, cycle: float, samples: list[Sample]) -> dict[s
             f"a period has only {cycles:.0f} cycles of {cycle * 1000:g} ms; more travel or a "
             "shorter --cycle would give more"
         )
+    fast = measured.modulating
+    if fast is not None and fast.residual > _LARGEST_RESIDUAL:
+        reasons.append(
+            f"the rigid axis explains the record only to {100 * fast.residual:.1f} %: the axis is "
+            "elastic, its friction is not Coulomb-like, or it dwells at rest"
+        )
+    if fast is not None and fast.halves > _LARGEST_DIFFERENCE:
+        reasons.append(f"two halves of the record differ by {100 * fast.halves:.1f} % in friction")
     limited = sum(s.status.limit for s in samples) / max(len(samples), 1)
     if limited > _LIMITED_SHARE:
         reasons.append(
@@ -449,5 +543,11 @@ def _proposal(drive: Drive, measured: _Measured, fraction: float) -> list[Change
     if law.law is CompensationLaw.NONE:
         return []
     old = {name: drive.read_raw(name) for name in law.terms.values()}
-    known = Known(measured.estimate.coulomb.value, measured.estimate.offset.value)
+    viscous = measured.viscous
+    known = Known(
+        measured.coulomb.value,
+        measured.offset.value,
+        viscous.value if viscous else None,
+        _half_width(viscous) if viscous else 0.0,
+    )
     return propose(drive.profile, drive.scaling, known, old, fraction)

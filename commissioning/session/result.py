@@ -8,11 +8,11 @@ from typing import Any
 from commissioning.compensation import Change
 from commissioning.identification.critical_point import (
     CriticalPoint,
-    corrected,
     hysteresis_only,
     naive,
 )
 from commissioning.identification.limit_cycle import LimitCycle
+from commissioning.identification.modulating import ModulatingEstimate
 from commissioning.identification.two_relay import Estimate, FrictionEstimate
 from drivers.scaling import Scaling
 from profiles.axis import Axis
@@ -122,12 +122,28 @@ def method_json(estimate: FrictionEstimate) -> dict[str, Any]:
     }
 
 
-def critical_points(cycle: LimitCycle, complex_coulomb: complex) -> dict[str, Any]:
-    """Naive, hysteresis-only and corrected point at the relay's own frequency."""
+def modulating_json(estimate: ModulatingEstimate) -> dict[str, Any]:
+    """Modulating functions: the numbers, and what says how far to trust them."""
+    numbers = {key: getattr(estimate, key).value for key in QUANTITIES}
+    checks = ("residual", "condition", "halves", "periods", "windows")
+    return numbers | {key: getattr(estimate, key) for key in checks}
+
+
+def cycles_json(cycles: Sequence[LimitCycle]) -> list[dict[str, Any]]:
+    """The limit cycles of the relay tests."""
+    names = (
+        "relay_amplitude", "hysteresis", "bias", "period", "half_swing", "fundamental", "duty",
+        "periods", "settled",
+    )  # fmt: skip
+    return [{name: getattr(cycle, name) for name in names} for cycle in cycles]
+
+
+def critical_points(cycle: LimitCycle, right: CriticalPoint) -> dict[str, Any]:
+    """Naive, hysteresis-only and corrected point (`right`) at the relay's own frequency."""
     return {
         "naive": _point_json(naive(cycle)),
         "hysteresis": _point_json(hysteresis_only(cycle)),
-        "corrected": _point_json(corrected(cycle, complex_coulomb)),
+        "corrected": _point_json(right),
         "measured": None,
         "at_180": None,
         "at_135": None,

@@ -57,6 +57,41 @@ def test_friction_is_within_8_percent_whatever_the_axis(
     assert found == pytest.approx(configured("bench", link.options).coulomb, rel=0.08)
 
 
+@pytest.mark.parametrize("name", ["bench", "vertical", "emps"])
+@pytest.mark.parametrize("cycle", [0.001, 0.004])
+def test_modulating_functions_find_everything_in_a_short_record(
+    run: Identify, name: str, cycle: float
+) -> None:
+    result = run(f"virtual://{name}", cycle=cycle, method="modulating")
+    friction, truth = result["friction"], AXES[name]
+    assert friction["method"] == "modulating"
+    assert friction["coulomb"]["value"] == pytest.approx(truth.coulomb, rel=0.01)
+    assert friction["inertia"]["value"] == pytest.approx(truth.inertia, rel=0.01)
+    assert friction["dead_time"]["value"] == pytest.approx(truth.delay, rel=0.1)
+    assert friction["offset"]["value"] == pytest.approx(truth.load, abs=0.01 * truth.coulomb)
+    assert result["methods"]["modulating"]["periods"] < 15
+    assert "two-relay" not in result["methods"]
+
+
+def test_modulating_functions_make_the_critical_point_exact(run: Identify) -> None:
+    point = run("virtual://bench", method="modulating")["critical_point"]["corrected"]
+    w = 2 * 3.141592653589793 / point["period"]
+    truth = 1 / abs(1e-3 * (1j * w) ** 2 + 2e-3 * 1j * w)
+    assert point["gain"] == pytest.approx(truth, rel=0.01)
+    lag = 360 / point["period"] * 0.002
+    assert point["phase_deg"] == pytest.approx(-180 + 1.8 - lag, abs=2)
+
+
+def test_all_reads_the_tests_of_the_thesis_by_both_methods(run: Identify) -> None:
+    result = run("virtual://bench", method="all")
+    assert set(result["methods"]) == {"two-relay", "modulating"}
+    assert result["friction"]["method"] == "modulating"
+    assert result["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.01)
+    assert result["methods"]["two-relay"]["coulomb"] == pytest.approx(0.1, rel=0.06)
+    written = {item["parameter"] for item in result["compensation"]}
+    assert "viscous_gain" in written, "viscous friction is seen, so it is compensated"
+
+
 def test_an_asymmetric_friction_shows_as_an_offset(run: Identify) -> None:
     offset = run("virtual://bench?asymmetry=0.2")["friction"]["offset"]["value"]
     assert offset == pytest.approx(0.02, abs=0.004)

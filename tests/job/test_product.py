@@ -47,6 +47,10 @@ def test_the_readme_s_commands_work_in_their_order(tworelay: Tworelay) -> None:
 def test_results_keep_to_the_json_schema(tworelay: Tworelay) -> None:
     good = tworelay("identify", "virtual://bench", "--yes", "--json", "-")
     jsonschema.validate(json.loads(good.stdout), SCHEMA)
+    fine = tworelay("identify", "virtual://bench", "--method", "modulating", "--yes", "--json", "-")
+    jsonschema.validate(json.loads(fine.stdout), SCHEMA)
+    page = tworelay("report", "last")
+    assert "Modulating functions" in Path(page.stdout.strip()).read_text("utf-8")
     linear = tworelay("identify", "virtual://emps", "--yes", "--json", "-")
     result = json.loads(linear.stdout)
     jsonschema.validate(result, SCHEMA)

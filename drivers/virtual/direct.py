@@ -17,6 +17,7 @@ from profiles.schema import Address, Identity, ModbusAddress, Profile
 
 __all__ = ["DirectBus"]
 
+_new = tuple.__new__  # a named tuple in half the time
 _CODES = {"i16": "h", "u16": "H", "i32": "i", "u32": "I"}
 
 
@@ -77,14 +78,8 @@ class DirectBus:
             firmware.write("position_target", values[1])
         firmware.feed_watchdog()
         firmware.advance(self.device.cycle)
-        return Exchange(
-            (firmware.statusword, firmware.error_code, firmware.position, firmware.torque),
-            values,
-            sent,
-            firmware.now / SECOND,
-            0.0,
-            0,
-        )
+        feedback = (firmware.statusword, firmware.error_code, firmware.position, firmware.torque)
+        return _new(Exchange, (feedback, values, sent, firmware.now / SECOND, 0.0, 0))
 
     def wait(self, seconds: float) -> None:
         """Let simulated time pass."""

@@ -81,7 +81,10 @@ class Plant:
     locked : holding brake closed; the axis stands
     """
 
-    __slots__ = ("_b", "_cache", "_lag", "locked", "parameters", "position", "torque", "velocity")
+    __slots__ = (
+        "_b", "_cache", "_lag", "_per_inertia", "_resist_down", "_resist_up", "locked",
+        "parameters", "position", "torque", "velocity",
+    )  # fmt: skip
 
     def __init__(self, parameters: PlantParameters, position: float = 0.0) -> None:
         self.parameters = parameters
@@ -90,6 +93,9 @@ class Plant:
         self.torque = 0.0
         self.locked = False
         self._b = parameters.viscous / parameters.inertia
+        self._per_inertia = 1 / parameters.inertia
+        self._resist_up = parameters.load + self.kinetic_friction(+1)
+        self._resist_down = parameters.load - self.kinetic_friction(-1)
         self._lag = parameters.lag
         if self._lag and abs(self._b * self._lag - 1) < 1e-6:
             self._lag *= (
@@ -99,6 +105,18 @@ class Plant:
 
     def advance(self, duration: float, command: float) -> None:
         """Let `duration` s pass under the constant torque command `command` (N.m or N)."""
+        velocity = self.velocity
+        if velocity and not self._lag and not self.locked:
+            # nearly every step: moving, and still moving the same way at its end
+            resisting = self._resist_up if velocity > 0 else self._resist_down
+            acceleration = (command - resisting) * self._per_inertia
+            step = self._cache.get(duration) or self._propagator(duration)
+            end = velocity * step.decay + acceleration * step.a1
+            if end * velocity > 0:
+                self.position += velocity * step.a1 + acceleration * step.a2
+                self.velocity = end
+                self.torque = command
+                return
         if self.locked:
             self.velocity = 0.0
             self._settle_torque(duration, command)

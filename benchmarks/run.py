@@ -120,6 +120,17 @@ def timed(action: Callable[[], Any], repeat: int = 5) -> float:
     return min(times)
 
 
+def side_by_side(*actions: Callable[[], Any], repeat: int) -> list[float]:
+    """Median time of each, in turn, so that the machine's moods meet all alike, s."""
+    times: list[list[float]] = [[] for _ in actions]
+    for _ in range(repeat):
+        for action, found in zip(actions, times, strict=True):
+            begin = time.perf_counter()
+            action()
+            found.append(time.perf_counter() - begin)
+    return [statistics.median(found) for found in times]
+
+
 def command(*arguments: str) -> Callable[[], None]:
     def run() -> None:
         subprocess.run(
@@ -152,13 +163,17 @@ def speed() -> list[str]:
     session.run = original
     whole = timed(lambda: measure(link, 0.001))
     duration = measure(link, 0.001)["experiment"]["duration"]
-    click_alone = timed(command("-c", "import click"), 9)
     tworelay = str(Path(sys.executable).parent / "tworelay")
-    help_time = timed(
-        lambda: subprocess.run([tworelay, "--help"], check=True, capture_output=True), 9
+    click_alone, help_time = side_by_side(
+        command("-c", "import click"),
+        lambda: subprocess.run([tworelay, "--help"], check=True, capture_output=True),
+        repeat=15,
     )
-    identify_time = timed(command("-m", "commissioning", "identify", link, "--yes"))
-    numbers = timed(command("-c", "import numpy, scipy.optimize"))
+    numbers, identify_time = side_by_side(
+        command("-c", "import numpy, scipy.optimize"),
+        command("-m", "commissioning", "identify", link, "--yes"),
+        repeat=5,
+    )
     return [
         "# Speed",
         "",

@@ -12,7 +12,7 @@ from math import degrees, pi
 from commissioning.identification.describing_function import equivalent, relay
 from commissioning.identification.limit_cycle import LimitCycle
 
-__all__ = ["CriticalPoint", "corrected", "from_model", "hysteresis_only", "naive"]
+__all__ = ["CriticalPoint", "corrected", "friction_of", "from_model", "hysteresis_only", "naive"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +68,15 @@ def from_model(inertia: float, viscous: float, dead_time: float, period: float) 
     point = _point(value, period)
     phase_deg = (point.phase_deg - degrees(w * dead_time)) % -360
     return CriticalPoint(point.gain, phase_deg, period)
+
+
+def friction_of(cycle: LimitCycle, point: CriticalPoint) -> complex:
+    """Complex friction f̄ with which (4.7) puts the limit cycle on `point`: −1/N = G, solved for f̄.
+
+    It differs from f·e^(jωτ) by what the first harmonic leaves out.
+    """
+    outer = complex(relay(cycle.half_swing, cycle.relay_amplitude, cycle.hysteresis))
+    return (-1 / point.value - outer) * pi * cycle.half_swing / 4 / 1j
 
 
 def _point(value: complex, period: float) -> CriticalPoint:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
-from math import cos, inf, pi, sin
+from math import inf
 from typing import Any, TypeVar
 
 from commissioning.compensation import Change, Known, propose
@@ -15,7 +15,7 @@ from commissioning.experiments.first_look import FirstLook, first_look
 from commissioning.experiments.plan import Context, Plan, stand
 from commissioning.experiments.stopping import Stopping, run_up
 from commissioning.experiments.two_relay import RelayDesign, Solver, TwoRelay, design, two_relay
-from commissioning.identification.critical_point import corrected, from_model
+from commissioning.identification.critical_point import corrected, friction_of, from_model
 from commissioning.identification.modulating import ModulatingEstimate, Record
 from commissioning.identification.modulating import estimate as modulating
 from commissioning.identification.two_relay import Estimate, FrictionEstimate, from_cycles
@@ -440,11 +440,10 @@ def _fill(
     if fast is not None:
         estimates |= {"inertia": fast.inertia, "dead_time": fast.dead_time}
         result["methods"]["modulating"] = modulating_json(fast)
-        turn = 2 * pi / first.period * fast.dead_time.value
-        complex_coulomb = fast.coulomb.value * complex(cos(turn), sin(turn))
         right = from_model(
             fast.inertia.value, fast.viscous.value, fast.dead_time.value, first.period
         )
+        complex_coulomb = friction_of(first, right)
     if balance is not None:
         result["methods"]["two-relay"] = method_json(balance)
         if fast is None:

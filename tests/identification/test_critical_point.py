@@ -7,7 +7,13 @@ from math import atan, degrees, pi
 import numpy as np
 import pytest
 
-from commissioning.identification.critical_point import corrected, hysteresis_only, naive
+from commissioning.identification.critical_point import (
+    corrected,
+    friction_of,
+    from_model,
+    hysteresis_only,
+    naive,
+)
 from commissioning.identification.limit_cycle import LimitCycle, measure, periods_of
 from commissioning.identification.two_relay import from_cycles
 
@@ -35,6 +41,22 @@ def test_friction_without_hysteresis_turns_the_point_beyond_180_degrees() -> Non
     point = corrected(cycle_with(0.3, 0.5, 0.0), 0.2)
     assert point.phase_deg == pytest.approx(-180 - degrees(atan(0.2 / 0.5)))
     assert point.gain == pytest.approx(pi * 0.3 / (4 * 0.5) / np.hypot(1, 0.4))
+
+
+def test_the_friction_that_puts_a_cycle_on_a_point_gives_that_point_back() -> None:
+    cycle = cycle_with(0.3, 0.5, 0.15)
+    point = from_model(1e-3, 2e-3, 0.002, 0.2)
+    again = corrected(cycle, friction_of(cycle, point))
+    assert again.gain == pytest.approx(point.gain)
+    assert again.phase_deg == pytest.approx(point.phase_deg)
+
+
+def test_the_point_of_a_model_is_its_frequency_response() -> None:
+    w = 2 * pi / 0.2
+    value = np.exp(-1j * w * 0.002) / (1e-3 * (1j * w) ** 2 + 2e-3 * 1j * w)
+    point = from_model(1e-3, 2e-3, 0.002, 0.2)
+    assert point.gain == pytest.approx(abs(value))
+    assert point.phase_deg == pytest.approx(np.degrees(np.angle(value)) % -360)
 
 
 def test_the_corrected_point_is_the_plant_where_the_naive_one_is_far_off() -> None:

@@ -80,6 +80,7 @@ def serve(tmp_path: Path) -> Iterator[Serve]:
             server.wait()
         assert server.stdout is not None
         server.stdout.close()
+        assert server.returncode in (143, -signal.SIGKILL), "it ends by its signal, not by a bug"
 
 
 WIRES = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import click
@@ -24,15 +25,26 @@ def command(run: str, link: str | None, yes: bool, json_target: str | None) -> N
     """Write what RUN proposed, read it back, and store it in the drive."""
     check_json(json_target)
     screen = Screen(json_target, yes=yes)
-    result = write(run, link, screen)
+    result = write(run, link, screen, json_target)
     write_json(result, json_target)
     screen.say(f"run {result['run']}: written. To take it back: tworelay restore {result['run']}")
 
 
-def write(run: str, link: str | None, screen: Screen) -> dict[str, Any]:
-    """Apply with the proposal shown."""
+def write(run: str, link: str | None, screen: Screen, json_target: str | None) -> dict[str, Any]:
+    """Apply with the proposal shown; on failure write the JSON too, then raise."""
     from commissioning.cli import show
+    from commissioning.runs import resolve
     from commissioning.session.apply import apply
+    from profiles.errors import TwoRelayError, UsageError
 
     with at_desk(screen) as desk:
-        return apply(run, link, desk, lambda items: show.proposal(items, screen))
+        try:
+            return apply(run, link, desk, lambda items: show.proposal(items, screen))
+        except TwoRelayError as error:
+            if error.exit_code >= 3:
+                with contextlib.suppress(UsageError):  # the first error is the one to be told
+                    result = resolve(desk.journal, run)[1].result()
+                    result["status"] = error.status
+                    result["quality"]["reasons"] = [str(error)]
+                    write_json(result, json_target)
+            raise

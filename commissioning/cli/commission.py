@@ -27,7 +27,7 @@ def command(target: str, **arguments: Any) -> None:
     if not arguments["dry_run"]:
         show.summary(result, screen)
         if result["compensation"]:
-            result = write(result["run"], None, screen)
+            result = write(result["run"], None, screen, arguments["json_target"])
         else:
             screen.say("this drive has no friction compensation to write to")
         screen.say(f"report {write_report(result['run'], None)}")

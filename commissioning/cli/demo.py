@@ -54,7 +54,7 @@ def command(clock: str) -> None:
             show.summary(result, screen)
             _against_truth(result, truth, screen)
             screen.say(f"\n$ tworelay apply {result['run']} --yes")
-            result = write(result["run"], None, screen)
+            result = write(result["run"], None, screen, None)
             report = write_report(result["run"], None)
         finally:
             server.terminate()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Literal
 
@@ -88,10 +89,11 @@ def serve_axis(
         raise UsageError(
             "serve where? Give --modbus-tcp HOST:PORT, --socketcand HOST:PORT or --slcan pty"
         )
-    serve(
+    received = serve(
         configured(link.place, options), Memory(state or state_file(link)), endpoints, clock,
         click.echo,
     )  # fmt: skip
+    sys.exit(128 + received)
 
 
 def _place(text: str | None) -> tuple[str, int] | None:

@@ -8,6 +8,7 @@ import struct
 from drivers.canopen.wire import SYNC, CanWire
 from drivers.drive import Exchange
 from drivers.pace import Pace
+from drivers.stepping import set_simulation
 from profiles.errors import AccessDenied, LinkError, LinkLost, ProfileError, TwoRelayError
 from profiles.schema import WIDTH_BITS, Address, CanopenAddress, Identity, Profile
 
@@ -70,7 +71,7 @@ class CanopenBus:
         self._heartbeat_every = watchdog.timeout / 4
         self._heartbeat_due = -1.0
         if pace.stepping:
-            self._set_simulation("simulation_cycle", pace.cycle)
+            set_simulation(self.write, profile, "simulation_cycle", pace.cycle)
 
     def identify(self) -> Identity:
         """Ask the drive who it is."""
@@ -182,22 +183,8 @@ class CanopenBus:
     def wait(self, seconds: float) -> None:
         """Let time pass; on a stepping drive, by asking it to."""
         if self._pace.stepping:
-            self._set_simulation("simulation_advance", seconds)
+            set_simulation(self.write, self._profile, "simulation_advance", seconds)
         self._pace.pass_time(seconds)
-
-    def _set_simulation(self, name: str, seconds: float) -> None:
-        parameter = self._profile.parameters.get(name)
-        if parameter is None:
-            raise LinkError(
-                f"clock=step needs a served virtual drive; profile '{self._profile.name}' has no "
-                f"'{name}'"
-            )
-        try:
-            self.write(parameter.address, round(seconds / parameter.scale))
-        except AccessDenied:
-            raise LinkError(
-                "the drive does not step: serve it with --clock step, or leave clock=step away"
-            ) from None
 
     def other_master(self) -> str:
         """COB-ID of a frame that only another master would send."""

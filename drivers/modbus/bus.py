@@ -6,7 +6,8 @@ from drivers.drive import Exchange
 from drivers.modbus.client import Client, NoAnswer
 from drivers.modbus.registers import decode, encode
 from drivers.pace import Pace
-from profiles.errors import AccessDenied, LinkError, LinkLost, ProfileError
+from drivers.stepping import set_simulation
+from profiles.errors import AccessDenied, LinkLost, ProfileError
 from profiles.schema import Address, Identity, ModbusAddress, Profile
 
 __all__ = ["ModbusBus", "identify"]
@@ -51,7 +52,7 @@ class ModbusBus:
         self._before: tuple[tuple[int, ...], float] | None = None  # command in force, when it left
         self._one_transaction = profile.cycle.function == "fc23"
         if pace.stepping:
-            self._set_simulation("simulation_cycle", pace.cycle)
+            set_simulation(self.write, profile, "simulation_cycle", pace.cycle)
 
     def identify(self) -> Identity:
         """Ask the drive who it is."""
@@ -121,22 +122,8 @@ class ModbusBus:
     def wait(self, seconds: float) -> None:
         """Let time pass; on a stepping drive, by asking it to."""
         if self._pace.stepping:
-            self._set_simulation("simulation_advance", seconds)
+            set_simulation(self.write, self._profile, "simulation_advance", seconds)
         self._pace.pass_time(seconds)
-
-    def _set_simulation(self, name: str, seconds: float) -> None:
-        parameter = self._profile.parameters.get(name)
-        if parameter is None:
-            raise LinkError(
-                f"clock=step needs a served virtual drive; profile '{self._profile.name}' has no "
-                f"'{name}'"
-            )
-        try:
-            self.write(parameter.address, round(seconds / parameter.scale))
-        except AccessDenied:
-            raise LinkError(
-                "the drive does not step: serve it with --clock step, or leave clock=step away"
-            ) from None
 
     def other_master(self) -> str:
         """Modbus shows no other client."""

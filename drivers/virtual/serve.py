@@ -38,10 +38,12 @@ def serve(
     endpoints: Endpoints,
     clock: Clock,
     announce: Callable[[str], None],
-) -> None:
-    """Serve until SIGINT or SIGTERM; `announce` gets one ready LINK at a time."""
-    with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_serve(axis, memory, endpoints, clock, announce))
+) -> int:
+    """Serve until SIGINT or SIGTERM, and return which; `announce` gets one ready LINK at a time."""
+    try:
+        return asyncio.run(_serve(axis, memory, endpoints, clock, announce))
+    except KeyboardInterrupt:
+        return int(signal.SIGINT)
 
 
 async def _serve(
@@ -50,14 +52,21 @@ async def _serve(
     endpoints: Endpoints,
     clock: Clock,
     announce: Callable[[str], None],
-) -> None:
+) -> int:
     device = Device(Firmware(axis, memory), clock)
     suffix = "&clock=step" if clock == "step" else ""
     end = asyncio.Event()
     loop = asyncio.get_running_loop()
+    received = int(signal.SIGINT)
+
+    def stop(number: int) -> None:
+        nonlocal received
+        received = number
+        end.set()
+
     for number in (signal.SIGINT, signal.SIGTERM):
         with contextlib.suppress(NotImplementedError):  # Windows: KeyboardInterrupt does it
-            loop.add_signal_handler(number, end.set)
+            loop.add_signal_handler(number, stop, int(number))
     async with contextlib.AsyncExitStack() as stack:
         poll: Callable[[], None] = device.catch_up
         try:
@@ -78,6 +87,7 @@ async def _serve(
             poll()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(end.wait(), _POLL if clock == "wall" else 0.1)
+    return received
 
 
 async def _modbus(stack: contextlib.AsyncExitStack, device: Device, place: tuple[str, int]) -> str:

@@ -103,7 +103,9 @@ def test_a_store_that_failed_is_done_again(
         assert "worn out" in done.stderr
 
     assert tworelay("identify", link, "--travel", "3", "--yes").returncode == 0
-    with_broken_store("apply", "last", "--yes")
+    told = tmp_path / "result.json"
+    with_broken_store("apply", "last", "--yes", "--json", str(told))
+    assert json.loads(told.read_text())["status"] == "failed", "JSON on every exit from 3 up"
     assert not state.exists()
     assert tworelay("apply", "last", "--yes").returncode == 0, "the values were there, unstored"
     assert json.loads(state.read_text())["coulomb_positive"] > 0

@@ -18,6 +18,7 @@ sys.path.insert(0, str(HERE.parent))
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
+from commissioning.session import measurement  # noqa: E402
 from commissioning.session.desk import Desk, Options  # noqa: E402
 from drivers.link import axis_of, open_drive  # noqa: E402
 from drivers.virtual.axes import AXES  # noqa: E402
@@ -144,7 +145,7 @@ def speed() -> list[str]:
     """How fast the loop is, and what the command line costs."""
     link = "virtual://bench"
     spent: list[tuple[float, int]] = []
-    original = session.run
+    original = measurement.run
 
     def counted(*arguments: Any, **keywords: Any) -> Any:
         recorder = arguments[3]
@@ -154,13 +155,13 @@ def speed() -> list[str]:
         finally:
             spent.append((time.perf_counter() - begin, len(recorder.samples) - before))
 
-    session.run = counted
+    measurement.run = counted
     rates = []
     for _ in range(7):
         spent.clear()
         measure(link, 0.001)
         rates.append(sum(n for _, n in spent) * 0.001 / sum(s for s, _ in spent))
-    session.run = original
+    measurement.run = original
     whole = timed(lambda: measure(link, 0.001))
     duration = measure(link, 0.001)["experiment"]["duration"]
     tworelay = str(Path(sys.executable).parent / "tworelay")

@@ -8,18 +8,24 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import Enum, auto
 from math import pi
 
 from drivers.virtual.axes import VirtualAxis
+from drivers.virtual.loops import TICK, Loops
 from drivers.virtual.memory import Memory
+from drivers.virtual.objects import (
+    MODE_CYCLIC_POSITION,
+    MODE_CYCLIC_TORQUE,
+    MODE_PROFILE_TORQUE,
+    MODES,
+    objects,
+)
 from drivers.virtual.plant import Plant
 
 __all__ = ["Denied", "Firmware", "Reason", "State"]
 
 SECOND = 1_000_000_000  # ns
-_TICK = 250_000  # ns: period of the drive's own position and velocity loops
 _HALF_TURN_OF_I32 = 1 << 31  # a 32-bit position counter rolls over
 _SUPERVISION = 1_000_000  # ns: how often the limits are looked at where no loop is closed
 _NEVER = 1 << 62
@@ -30,12 +36,6 @@ _TENTH_RPM = 2 * pi / 600  # rad/s
 _NEAR_SPEED_LIMIT = 0.9 * _TENTH_RPM
 _REST_SPEED_SHARE = 2e-4  # of the speed limit: slower than this counts as standstill
 
-MODE_PROFILE_TORQUE = 4
-MODE_PROFILE_VELOCITY = 3
-MODE_CYCLIC_POSITION = 8
-MODE_CYCLIC_VELOCITY = 9
-MODE_CYCLIC_TORQUE = 10
-_MODES = (3, 4, 8, 9, 10)
 _TORQUE_MODES = (MODE_PROFILE_TORQUE, MODE_CYCLIC_TORQUE)
 
 ERROR_COMMUNICATION = 0x8100
@@ -73,50 +73,6 @@ class Denied(Exception):
         self.reason = reason
 
 
-@dataclass(frozen=True, slots=True)
-class _Object:
-    default: int
-    low: int = -(1 << 31)
-    high: int = (1 << 32) - 1
-    writable: bool = True
-    nonvolatile: bool = False
-
-
-def _objects(axis: VirtualAxis) -> dict[str, _Object]:
-    revolution = 2 * pi / axis.resolution
-    per_mille = round(1000 * axis.peak / axis.rated)
-
-    def setting(default: int, low: int, high: int) -> _Object:
-        return _Object(default, low, high, nonvolatile=True)
-
-    def fixed(value: int) -> _Object:
-        return _Object(value, writable=False)
-
-    return {
-        "controlword": _Object(0, 0, 0xFFFF),
-        "mode": _Object(0, -128, 127),
-        "torque_target": _Object(0, -32768, 32767),
-        "position_target": _Object(0),
-        "velocity_target": _Object(0),
-        "rated_torque": fixed(round(axis.rated * 1e6)),  # uN.m
-        "encoder_increments": fixed(round(revolution)),
-        "encoder_revolutions": fixed(1),
-        "supported_modes": fixed(sum(1 << (mode - 1) for mode in _MODES)),
-        "serial": fixed(axis.serial),
-        "max_torque": setting(per_mille, 0, per_mille),
-        "max_speed": setting(round(axis.speed * 600 / (2 * pi)), 0, 10_000_000),  # 0.1 rpm
-        "torque_slope": setting(0xFFFFFFFF, 1, 0xFFFFFFFF),  # per mille of rated a second
-        "quick_stop_option": setting(2, 0, 8),
-        "abort_connection_option": setting(1, 0, 3),
-        "watchdog_time": setting(round(axis.watchdog * 1000), 0, 65535),  # ms
-        "following_window": setting(round(revolution / 4), 0, (1 << 31) - 1),
-        "torque_offset": setting(0, -1000, 1000),  # per mille of rated
-        "coulomb_positive": setting(0, 0, 1000),
-        "coulomb_negative": setting(0, 0, 1000),
-        "viscous_gain": setting(0, 0, 65535),  # 1e-5 of rated a rad/s
-    }
-
-
 class Firmware:
     """One drive.
 
@@ -145,7 +101,7 @@ class Firmware:
         self.store_busy_until = 0
         self.on_emergency: Callable[[int], None] = lambda code: None
         self.silence_code = ERROR_COMMUNICATION
-        self._objects = _objects(axis)
+        self._objects = objects(axis)
         self.values = {key: item.default for key, item in self._objects.items()}
         self._recall()
         self.state = State.SWITCH_ON_DISABLED
@@ -164,7 +120,7 @@ class Firmware:
         self._tick_at = 0
         self._energised = False
         self._after_stop = State.SWITCH_ON_DISABLED
-        self._loop = _Loops(axis)
+        self._loop = Loops(axis)
         self._interpolation = round(axis.cycle * SECOND)
         self._position_from = 0.0
         self._position_step = 0.0
@@ -353,7 +309,7 @@ class Firmware:
             self._enable()
 
     def _enable(self) -> None:
-        if self.values["mode"] not in _MODES:
+        if self.values["mode"] not in MODES:
             return
         self._energised = True
         self._queue.clear()
@@ -420,7 +376,7 @@ class Firmware:
         self.on_emergency(code)
 
     def _set_mode(self, mode: int) -> None:
-        if mode not in _MODES and mode != 0:
+        if mode not in MODES and mode != 0:
             raise Denied(Reason.RANGE)
         if self.state is State.OPERATION_ENABLED and mode != self.values["mode"]:
             raise Denied(Reason.STATE)
@@ -525,7 +481,7 @@ class Firmware:
 
     def _tick(self) -> None:
         """One period of the drive's control loops."""
-        self._tick_at = self.now + _TICK
+        self._tick_at = self.now + TICK
         if self.state is not State.OPERATION_ENABLED:
             self._tick_stop()
             return
@@ -560,7 +516,7 @@ class Firmware:
 
     def _tick_torque(self, mode: int) -> None:
         if mode == MODE_PROFILE_TORQUE:
-            most = self.values["torque_slope"] * self._unit * (_TICK / SECOND)
+            most = self.values["torque_slope"] * self._unit * (TICK / SECOND)
             target = self._clamped(self.values["torque_target"])
             self._ramped += max(-most, min(most, target - self._ramped))
             self._queue.clear()
@@ -595,30 +551,6 @@ class Firmware:
         self._limiting = clamped != torque
         self._loop.clamped = clamped != torque
         self._torque_command = clamped
-
-
-class _Loops:
-    """Cascade of the drive: position P, velocity PI; tuned from the axis' inertia."""
-
-    def __init__(self, axis: VirtualAxis) -> None:
-        bandwidth = min(250.0, 0.25 / axis.lag) if axis.lag else 250.0  # rad/s
-        self.velocity_gain = axis.inertia * bandwidth
-        self.integral_gain = self.velocity_gain * bandwidth / 4
-        self.position_gain = bandwidth / 5
-        self.integral = 0.0
-        self.clamped = False
-
-    def reset(self, torque: float) -> None:
-        """Start from this torque of the integrator, N.m or N."""
-        self.integral = torque
-        self.clamped = False
-
-    def velocity_control(self, wanted: float, actual: float) -> float:
-        """PI control of velocity with the integrator held at the torque limit; returns torque."""
-        error = wanted - actual
-        if not self.clamped or self.integral * error < 0:
-            self.integral += self.integral_gain * error * (_TICK / SECOND)
-        return self.velocity_gain * error + self.integral
 
 
 _LIVE: dict[str, Callable[[Firmware], int]] = {

@@ -42,7 +42,7 @@ __all__ = ["Failure", "identify"]
 
 _LEAST_PERIOD = 20  # dead times
 _LEAST_CYCLES = 25  # a period
-_LARGEST_RESIDUAL = 0.03  # of the right-hand side
+_LARGEST_RESIDUAL = 0.015  # of the right-hand side
 _LARGEST_DIFFERENCE = 0.02  # of the friction, between two halves of the record
 _LIMITED_SHARE = 0.002  # of the cycles
 
@@ -244,7 +244,7 @@ def _quality(measured: Measured, cycle: float, samples: list[Sample]) -> dict[st
     if fast is not None and fast.residual > _LARGEST_RESIDUAL:
         reasons.append(
             f"the rigid axis explains the record only to {100 * fast.residual:.1f} %: the axis is "
-            "elastic, its friction is not Coulomb-like, or it dwells at rest"
+            "elastic or strongly damped, its friction is not Coulomb-like, or it dwells at rest"
         )
     if fast is not None and fast.halves > _LARGEST_DIFFERENCE:
         reasons.append(f"two halves of the record differ by {100 * fast.halves:.1f} % in friction")

@@ -52,6 +52,26 @@ def error_of(result: dict[str, Any], truth: float) -> str:
     return f"{100 * (result['friction']['coulomb']['value'] / truth - 1):+.1f} %"
 
 
+def row(name: str, method: str) -> str:
+    """Errors of a virtual axis in process, one cell a cycle time."""
+    axis, cells = AXES[name], []
+    for cycle in CYCLES:
+        try:
+            result = measure(f"virtual://{name}", cycle, method=method)
+        except session.Failure as failure:
+            cells.append(f"– ({failure.error.exit_code})")
+            continue
+        if method == "two-relay":
+            cells.append(error_of(result, axis.coulomb))
+        else:
+            friction = result["friction"]
+            f, j = friction["coulomb"]["value"], friction["inertia"]["value"]
+            cells.append(
+                f"{100 * (f / axis.coulomb - 1):+.2f} / {100 * (j / axis.inertia - 1):+.1f} %"
+            )
+    return f"| {name} | " + " | ".join(cells) + " |"
+
+
 def accuracy() -> list[str]:
     """Error of |f| by (4.16) on every axis and over every wire."""
     lines = [
@@ -63,14 +83,7 @@ def accuracy() -> list[str]:
         "| in process | " + " | ".join(f"{cycle * 1000:g} ms" for cycle in CYCLES) + " |",
         "| --- |" + " --- |" * len(CYCLES),
     ]
-    for name, axis in AXES.items():
-        cells = []
-        for cycle in CYCLES:
-            try:
-                cells.append(error_of(measure(f"virtual://{name}", cycle), axis.coulomb))
-            except session.Failure as failure:
-                cells.append(f"– ({failure.error.exit_code})")
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    lines += [row(name, "two-relay") for name in AXES]
     lines += [
         "",
         "By `modulating`, on a dozen periods: error of f / of J.",
@@ -78,18 +91,7 @@ def accuracy() -> list[str]:
         "| in process | " + " | ".join(f"{cycle * 1000:g} ms" for cycle in CYCLES) + " |",
         "| --- |" + " --- |" * len(CYCLES),
     ]
-    for name, axis in AXES.items():
-        cells = []
-        for cycle in CYCLES:
-            try:
-                friction = measure(f"virtual://{name}", cycle, method="modulating")["friction"]
-                f, j = friction["coulomb"]["value"], friction["inertia"]["value"]
-                cells.append(
-                    f"{100 * (f / axis.coulomb - 1):+.2f} / {100 * (j / axis.inertia - 1):+.1f} %"
-                )
-            except session.Failure as failure:
-                cells.append(f"– ({failure.error.exit_code})")
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    lines += [row(name, "modulating") for name in AXES]
     wire_cycles = (0.002, 0.005)
     lines += [
         "",

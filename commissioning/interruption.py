@@ -27,6 +27,7 @@ class Interruption:
     def __init__(self) -> None:
         self.signal: int | None = None
         self.count = 0
+        self._told = False
         self._deferred = 0
         self._before: dict[int, Any] = {}
 
@@ -46,11 +47,13 @@ class Interruption:
         self.signal = number
         self.count += 1
         if not self._deferred:
+            self._told = False  # whoever waits now is to hear it, whatever was told before
             self.check()
 
     def check(self) -> None:
-        """Raise Interrupted if a signal came."""
-        if self.signal is not None:
+        """Raise Interrupted if a signal came; once, so that no clean-up hides what the first says."""
+        if self.signal is not None and not self._told:
+            self._told = True
             name = signal.Signals(self.signal).name
             raise Interrupted(f"interrupted by {name}", self.signal)
 

@@ -7,7 +7,7 @@ N1 = N2, and the plant drops out.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import asin, hypot, sqrt
+from math import hypot, sqrt
 
 from commissioning.identification.limit_cycle import LimitCycle
 
@@ -119,8 +119,3 @@ def _offset(first: LimitCycle, second: LimitCycle, f: float) -> Estimate:
     value = sum(values) / 2
     spread = abs(values[0] - values[1]) + 0.01 * f
     return Estimate(value, value - spread, value + spread)
-
-
-def phase_of(cycle: LimitCycle) -> float:
-    """asin(ε/A), rad."""
-    return asin(min(1.0, cycle.hysteresis / cycle.half_swing))

@@ -149,13 +149,13 @@ class Measurement:
     def _put_back(self, error: BaseException | None) -> None:
         with self.desk.interruption.deferred():
             outcome = self.settings.restore()
-        if outcome.complete:
-            return
-        text = f"settings of the experiment are not all back: {outcome}; 'tworelay restore' tries again"
-        if error is None:
-            raise WriteFailed(text)
-        if isinstance(error, TwoRelayError):
-            error.args = (f"{error}; {text}",)
+            if outcome.complete:
+                return
+            text = f"settings of the experiment are not all back: {outcome}; 'tworelay restore' tries again"
+            if error is None:
+                raise WriteFailed(text)
+            if isinstance(error, TwoRelayError):
+                error.args = (f"{error}; {text}",)
 
     def _run(self, plan: Plan[T], rest: float, *, leave_moving: bool = False) -> T:
         spent = self.recorder.samples[-1].time - self.recorder.samples[0].time if (

@@ -95,6 +95,29 @@ def test_a_signal_stops_the_axis_within_a_cycle_of_being_seen(drive: ProfiledDri
     assert not firmware_of(drive).energised
 
 
+def test_what_the_first_interruption_says_is_not_hidden_by_a_clean_up() -> None:
+    interruption = Interruption()
+    interruption.signal = 2
+
+    def job() -> None:
+        try:
+            with interruption.deferred():
+                interruption.check()
+        except Interrupted as error:
+            with interruption.deferred():
+                error.args = ("interrupted; max_torque is not back",)
+            raise
+
+    with pytest.raises(Interrupted, match="max_torque is not back"):
+        job()
+
+
+def test_a_signal_while_deferred_is_raised_at_its_end() -> None:
+    interruption = Interruption()
+    with pytest.raises(Interrupted), interruption.deferred():
+        interruption.signal = 2
+
+
 def test_a_step_of_the_stop_that_raises_anything_does_not_keep_the_others_back(
     drive: ProfiledDrive, monkeypatch: pytest.MonkeyPatch
 ) -> None:

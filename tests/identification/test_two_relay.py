@@ -14,12 +14,11 @@ from commissioning.identification.limit_cycle import LimitCycle, measure, period
 from commissioning.identification.two_relay import (
     feasible,
     from_cycles,
-    phase_of,
     solve,
     solve_delay,
 )
 
-from .axis import Parabolas, matched
+from .axis import matched
 
 
 @given(
@@ -79,10 +78,3 @@ def test_a_match_is_feasible_only_if_the_first_hysteresis_is_large_enough() -> N
     first, second = cycles()
     assert feasible(first, 0.1, second.half_swing)
     assert not feasible(first, 10.0, second.half_swing)
-
-
-def test_the_phase_of_a_hysteresis_is_its_arcsine() -> None:
-    axis = Parabolas(1e-3, 0.1, 0.2, 0.05)
-    periods = periods_of(*axis.sample(0.001, 8.0), reference=0.0)
-    cycle = measure(periods, axis.d, axis.eps, 0.0, is_settled=True)
-    assert phase_of(cycle) == pytest.approx(asin(0.5), rel=0.01)

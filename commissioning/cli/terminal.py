@@ -21,7 +21,13 @@ from drivers.link import axis_of
 from profiles.axis import Axis, load_axis
 from profiles.errors import Refused, UsageError
 
+# spelt out here, so that --help imports no numbers; a test holds it to session.methods
+METHODS = (
+    "auto", "modulating", "lock-in", "two-relay", "two-relay-delay", "phase-locked", "all",
+)  # fmt: skip
+
 __all__ = [
+    "METHODS",
     "Screen",
     "at_desk",
     "axis_from",
@@ -160,14 +166,21 @@ _JOB_OPTIONS = [
         help="Share of the friction to compensate; the offset is compensated whole.",
     ),
     click.option(
-        "--method", type=click.Choice(["two-relay", "modulating", "all"]), default="two-relay",
-        show_default=True,
-        help="two-relay: the thesis; modulating: short and finer; all: the tests of the first, read "
-        "by both.",
+        "--method", type=click.Choice(METHODS), default="auto", show_default=True,
+        help="auto: a dozen periods, or thirty where they are needed; modulating: a dozen; lock-in: exact "
+        "harmonic balance, no model; two-relay, two-relay-delay, phase-locked: the thesis; all: each.",
     ),
     click.option(
         "--solver", type=click.Choice(["bracket", "thesis"]), default="bracket", show_default=True,
-        help="Search for equal periods: bracketing secant, or rule (4.21) of the thesis.",
+        help="Search for equal periods: bracketing secant, or the rules (4.21), (4.25) of the thesis.",
+    ),
+    click.option(
+        "--repeat", type=click.IntRange(1, 50), default=1, show_default=True, metavar="N",
+        help="Measure N times; the interval then holds what the results scatter by.",
+    ),
+    click.option(
+        "--output-filter", type=Finite(0, min_open=True), metavar="W",
+        help="rad/s: corner of a first-order filter in the drive's position signal, to be undone.",
     ),
     click.option("--cycle", type=Finite(0.0002, 0.5), help="s, of the exchange."),
     click.option(
@@ -212,8 +225,8 @@ def options_from(arguments: dict[str, Any]) -> Options:
                 "--travel ±0.5"
             )
     names = (
-        "max_torque", "max_speed", "duration", "fraction", "method", "solver", "cycle",
-        "without_watchdog", "dry_run",
+        "max_torque", "max_speed", "duration", "fraction", "method", "solver", "repeat",
+        "output_filter", "cycle", "without_watchdog", "dry_run",
     )  # fmt: skip
     return Options(travel=travel, **{name: arguments[name] for name in names})
 

@@ -89,8 +89,12 @@ def serve_axis(
         raise UsageError(
             "serve where? Give --modbus-tcp HOST:PORT, --socketcand HOST:PORT or --slcan pty"
         )
+    served = configured(link.place, options)
+    for key in ("jitter", "loss", "stamp"):
+        if getattr(served, key):
+            raise UsageError(f"{key} is for virtual:// links: a served drive has its wire's own")
     received = serve(
-        configured(link.place, options), Memory(state or state_file(link)), endpoints, clock,
+        served, Memory(state or state_file(link)), endpoints, clock,
         click.echo,
     )  # fmt: skip
     sys.exit(128 + received)

@@ -17,7 +17,7 @@ from profiles.errors import MeasurementRejected
 __all__ = ["FirstLook", "first_look", "push"]
 
 RAMP_TIME = 4.0  # s from zero to the torque limit
-_LATENT = 0.02  # s: motion that takes longer than this to show moves the ramp on
+_WOUND_UP, _AWAY = 1.8, 6.0  # displacements that count as motion: still at its place, and off
 _PUSHES = (1.5, 2.2)  # torque of the pushes, in breakaway torques
 _PUSH_TRAVEL = 0.05  # share of the travel that a push may take
 _PUSH_SPEED = 0.3  # share of the speed limit
@@ -127,16 +127,22 @@ def _inertia(push: Push, coulomb: float, viscous: float) -> float:
 
 
 def _ramp(context: Context, direction: int) -> Plan[float]:
-    """Raise the torque until the axis moves; return the torque that it took."""
+    """Raise the torque until the axis moves away; return the torque at which that began.
+
+    An elastic axis winds up before it breaks away, so the first counts of motion do not count.
+    """
     sample = yield context.rest
     begin, torque = sample.position, context.rest
     limit = context.torque
     step = direction * limit / RAMP_TIME * context.cycle
+    began = context.rest
     while abs(torque) <= limit or torque * direction < 0:
         sample = yield torque
         moved = (sample.position - begin) * direction
-        if moved > context.motion:
-            return sample.command
+        if moved < _WOUND_UP * context.motion:
+            began = sample.command
+        elif moved > _AWAY * context.motion:
+            return began
         if moved < -context.motion:
             raise MeasurementRejected(
                 f"the axis moved {abs(moved):.3g} {context.position_unit} against a torque of "

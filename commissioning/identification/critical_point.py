@@ -12,7 +12,15 @@ from math import degrees, pi
 from commissioning.identification.describing_function import equivalent, relay
 from commissioning.identification.limit_cycle import LimitCycle
 
-__all__ = ["CriticalPoint", "corrected", "friction_of", "from_model", "hysteresis_only", "naive"]
+__all__ = [
+    "CriticalPoint",
+    "corrected",
+    "friction_of",
+    "from_model",
+    "hysteresis_only",
+    "naive",
+    "of_plant",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +76,11 @@ def from_model(inertia: float, viscous: float, dead_time: float, period: float) 
     point = _point(value, period)
     phase_deg = (point.phase_deg - degrees(w * dead_time)) % -360
     return CriticalPoint(point.gain, phase_deg, period)
+
+
+def of_plant(value: complex, period: float) -> CriticalPoint:
+    """A measured point of the frequency response."""
+    return _point(value, period)
 
 
 def friction_of(cycle: LimitCycle, point: CriticalPoint) -> complex:

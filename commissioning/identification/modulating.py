@@ -1,80 +1,83 @@
 """Friction, inertia and dead time by modulating functions: no settling, no period, no derivative.
 
-For a rigid axis  J·ÿ + B·ẏ = u(t−τ) − f·sign(ẏ) − offset  is multiplied by a smooth φ that vanishes
-with its first derivatives at both ends of a window, and integrated by parts (Shinbrot 1957; Preisig
-and Rippin 1993):
+For a rigid axis  J·ÿ + B·ẏ = u(t−τ) − F − offset  is multiplied by a φ that vanishes with its first
+derivatives at both ends of a window, and integrated by parts (Shinbrot 1957; Preisig and Rippin 1993;
+method.md 3a):
 
     J·∫φ''·y − B·∫φ'·y + f·∫φ·sign(ẏ) + offset·∫φ = ∫φ·u(t−τ)
 
-Many shifted windows make a linear least-squares problem in J, B, f and offset; τ is searched. The
-torque is integrated as it was sent (zero-order hold at its own time stamps), so transients, late
-cycles and lost samples do not matter.
+φ is sin⁴ at the samples and straight between them. For such a φ the integrals are sums of hat moments
+(`signals`), exact at any sampling: late cycles and lost samples are nothing special. Many windows of two
+widths make a linear least-squares problem; τ joins it by its derivative. Velocity, reversals and ∫y
+between the samples come from the model itself (`motion`) and are improved from pass to pass.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import sqrt
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from commissioning.identification.limit_cycle import reversal
-from commissioning.identification.two_relay import Estimate
+from commissioning.identification.estimate import Estimate
+from commissioning.identification.friction_laws import Law, Rung, curve
+from commissioning.identification.motion import Model, Motion
+from commissioning.identification.record import Kinematics, Record, kinematics, reversals
+from commissioning.identification.signals import hat_moments
 
-__all__ = ["ModulatingEstimate", "Record", "estimate", "reversals"]
+__all__ = ["Fit", "ModulatingEstimate", "estimate", "refined_kinematics"]
 
 Array = NDArray[np.float64]
 
-_WINDOW = 0.5  # of the period
-_SHIFT = 0.05  # of the period
-_FINE = 8  # points of integration a sample
+_WIDTHS = (0.5, 0.2)  # of the period
+_SHIFT = 0.1  # of a window's width
+_MEAN_WEIGHT = 0.375  # of sin⁴
+_NARROWEST = 6  # samples in a window
 _FEWEST_REVERSALS = 6
 _FEWEST_WINDOWS = 20
 _LONGEST_DELAY = 0.25  # of the period
-_SEARCH = 40  # steps of the search for the dead time
-# What is left when the scatter is gone is bias: reversal instants, resolution, time stamps. Over the
-# axes of benchmarks/two_relay.md this share of the value covers it, with what the model leaves
-# unexplained counted as bias too.
-_BIAS = {"coulomb": 0.006, "inertia": 0.01, "viscous": 0.05, "offset": 0.0, "dead_time": 0.1}
-_UNEXPLAINED = {"coulomb": 1.0, "inertia": 2.0, "viscous": 3.0, "offset": 0.0, "dead_time": 3.0}
+_DELAYS = 12  # first guesses of the dead time
+_MOST_PASSES = 12
+_SETTLING_PASSES = 4  # of a motion whose model is known
+_FLOOR = 1e-3  # of a row's torque: what a row may miss beside the noise of the resolution
+# the ladder: a richer law must explain held-out periods better by this factor
+_BETTER = 0.6
+_EXPLAINED = 1e-3  # of the torque: below this nothing is left that a richer law could explain
+_EXPLAINS = 0.03  # of the torque: a model that leaves more says nothing about reversals
+_NEGATIVE = 0.01  # of the Coulomb friction, at the fastest: negative viscous friction that is noise
+_SHAPES = 11  # first guesses of a shape parameter
+_MOST_WAVES = 150  # of a position-periodic torque along the swing
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
-    """One uninterrupted record of an axis in torque mode.
+class Fit:
+    """One law fitted to one record.
 
     Attributes
     ----------
-    time : (n,) s, increasing, when each position was latched
-    position : (n,) rad or m
-    sent : (n,) s, when each command left; it holds until the next one
-    command : (n,) N.m or N
-    resolution : of the position, rad or m
+    law : friction law
+    model : inertia, viscous friction, offset, dead time
+    coefficients : (k,) of the law's terms, the Coulomb one first, N.m or N
+    covariance : (k+4, k+4) of inertia, viscous, offset, coefficients, dead time; jackknife over periods
+    residual : rms of the fit as a share of the rms of its right-hand side
+    held_out : the same on periods that were left out of the fit
+    condition : of the scaled least-squares matrix
+    halves : Coulomb friction of the odd and of the even periods, N.m or N
+    widths : Coulomb friction from the wide windows alone and from the narrow ones alone, N.m or N
     """
 
-    time: Array
-    position: Array
-    sent: Array
-    command: Array
-    resolution: float
-
-    @classmethod
-    def of(
-        cls,
-        time: ArrayLike,
-        position: ArrayLike,
-        sent: ArrayLike,
-        command: ArrayLike,
-        resolution: float,
-    ) -> Record:
-        """From anything that looks like arrays."""
-        return cls(
-            np.asarray(time, float),
-            np.asarray(position, float),
-            np.asarray(sent, float),
-            np.asarray(command, float),
-            resolution,
-        )
+    law: Law
+    model: Model
+    coefficients: Array
+    covariance: Array
+    residual: float
+    held_out: float
+    condition: float
+    halves: tuple[float, float]
+    widths: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,11 +90,18 @@ class ModulatingEstimate:
     viscous : N.m.s/rad or N.s/m
     inertia : kg.m2 or kg
     dead_time : s
-    residual : rms of the fit as a share of the rms of its right-hand side
+    law : friction law that the record asks for
+    coefficients : of its terms
+    low_speed : friction at the lowest speed that the law resolves, where compensation acts, N.m or N
+    peak_speed : largest speed of the record, rad/s or m/s
+    residual, held_out, rigid_residual : what is left as a share of the torque: of the law, on periods
+        that were left out, and of Coulomb friction alone
     condition : of the scaled least-squares matrix; large means that the record cannot tell apart
-    halves : relative difference of f between both halves of the record
+    halves, widths : relative difference of f between odd and even periods, wide and narrow windows
+    noise : what the resolution alone would leave, as a share of the torque
     periods : of the record
     windows : that were used
+    reversals : that were found
     """
 
     coulomb: Estimate
@@ -99,180 +109,459 @@ class ModulatingEstimate:
     viscous: Estimate
     inertia: Estimate
     dead_time: Estimate
+    law: Law
+    coefficients: Array
+    low_speed: float
+    peak_speed: float
     residual: float
+    held_out: float
+    rigid_residual: float
     condition: float
     halves: float
+    widths: float
+    noise: float
     periods: float
     windows: int
+    reversals: int
+
+    def curve(self, speed: Array) -> Array:
+        """Friction against speed, mean of both directions, (n,) N.m or N."""
+        return curve(self.law, self.coefficients, self.viscous.value, speed)
 
 
-def reversals(record: Record) -> tuple[Array, int]:
-    """Instants of the velocity reversals (s), and the sign of the velocity before the first.
+def estimate(record: Record, *, ladder: bool = True) -> ModulatingEstimate:
+    """Fit the record; raises ValueError when it is too short.
 
-    A reversal counts when the axis then moves by more than a few counts and a share of its swing.
+    Two amplitudes are needed in the record to tell Coulomb from viscous friction. `ladder`: look for a
+    richer friction law where Coulomb friction leaves something unexplained.
     """
-    y = record.position
-    least = max(4 * record.resolution, 0.02 * float(np.ptp(y)))
-    turning: list[int] = []
-    low = high = 0
-    direction = 0
-    for k, value in enumerate(y.tolist()):
-        if value > y[high]:
-            high = k
-        if value < y[low]:
-            low = k
-        if direction >= 0 and y[high] - value > least:
-            if direction > 0:
-                turning.append(high)
-            direction, low = -1, k
-            high = k
-        elif direction <= 0 and value - y[low] > least:
-            if direction < 0:
-                turning.append(low)
-            direction, high = 1, k
-            low = k
-    instants = []
-    for n, at in enumerate(turning):
-        first = turning[n - 1] if n else 0
-        last = turning[n + 1] if n + 1 < len(turning) else len(y)
-        span = slice(first, last)
-        top = y[at] > y[first] if at > first else y[at] > y[min(at + 1, len(y) - 1)]
-        turned = y[span] - 0.5 * (y[at] + y[first])
-        turned = turned if top else -turned
-        instants.append(reversal(record.time[span], turned, record.command[span], at - first)[0])
-    begins = 1 if turning and y[turning[0]] > y[0] else -1
-    return np.array(instants), begins
+    fitter = _Fitter(record)
+    rigid = best = fitter.fit(Law())
+    if ladder:
+        best = _climb(fitter, rigid)
+    return fitter.estimate(best, rigid)
 
 
-def estimate(record: Record) -> ModulatingEstimate:
-    """Fit the rigid axis to the record; raises ValueError when the record is too short.
+def refined_kinematics(record: Record) -> Kinematics:
+    """Velocity and its sign changes, by the model where it explains the record.
 
-    Two amplitudes are needed in the record to tell Coulomb from viscous friction.
+    A rigid axis gives them to a hundredth of a sample; else the samples alone do.
     """
-    instants, begins = reversals(record)
-    if len(instants) < _FEWEST_REVERSALS:
-        raise ValueError(
-            f"the record has {len(instants)} velocity reversals; {_FEWEST_REVERSALS} are needed"
+    try:
+        fitter = _Fitter(record)
+    except ValueError:
+        return kinematics(record)
+    fit = fitter.fit(Law())
+    if not fit.held_out < _EXPLAINS:
+        return kinematics(record)
+    motion = fitter.motion_of(fit)
+    return Kinematics(motion.instants, motion.begins, motion.speed)
+
+
+def _climb(fitter: _Fitter, rigid: Fit) -> Fit:
+    """The simplest law that no richer one beats clearly on held-out periods."""
+    best = rigid
+    for _ in range(2):
+        if best.held_out < max(_EXPLAINED, 1.2 * fitter.noise(best)):
+            return best
+        richer = [
+            found
+            for rung in _beside(best.law)
+            if (found := fitter.with_rung(best, rung)) is not None
+        ]
+        if not richer:
+            return best
+        challenger = min(richer, key=lambda fit: fit.held_out)
+        if not challenger.held_out < _BETTER * best.held_out:
+            return best
+        best = challenger
+    return best
+
+
+def _beside(law: Law) -> tuple[Rung, ...]:
+    """Rungs that may be added to a law."""
+    rungs: list[Rung] = []
+    if law.stribeck is None and law.soft is None:
+        rungs += ["stribeck", "soft"]
+    if not law.load:
+        rungs.append("load")
+    if law.position is None:
+        rungs.append("position")
+    return tuple(rungs)
+
+
+class _Fitter:
+    """Windows over one record, and the fits that were tried."""
+
+    def __init__(self, record: Record) -> None:
+        instants, begins = reversals(record)
+        if len(instants) < _FEWEST_REVERSALS:
+            raise ValueError(
+                f"the record has {len(instants)} velocity reversals; {_FEWEST_REVERSALS} are needed"
+            )
+        self.record = record
+        self.count = len(instants)
+        self.period = 2 * float(np.median(np.diff(instants)))
+        self._begin = (instants, begins)
+        time = record.time
+        self.step = float(np.median(np.diff(time)))
+        self._windows = _Windows(time, self.period, self.step)
+        if len(self._windows) < _FEWEST_WINDOWS:
+            raise ValueError(
+                f"the record has room for {len(self._windows)} windows of half a period only"
+            )
+        h = np.diff(time)
+        self._accelerations = self._windows @ hat_moments(
+            time, record.position - record.position[0]
         )
-    period = 2 * float(np.median(np.diff(instants)))
-    windows = _Windows(record, instants, begins, period)
-    if windows.count < _FEWEST_WINDOWS:
-        raise ValueError(f"the record has room for {windows.count} windows of half a period only")
-    delay = windows.best_delay()
-    solution, covariance, residual, condition = windows.solve(delay)
-    halves = [windows.solve(delay, part)[0][2] for part in windows.halves()]
-    inertia, viscous, coulomb, offset = solution
-    # neighbouring windows overlap: the scatter is that of as many as stand beside each other
-    overlap = _WINDOW / _SHIFT
-    errors = 2 * np.sqrt(np.diag(covariance) * overlap)
-    spread = abs(halves[0] - halves[1])
-    found = {
-        "inertia": (inertia, errors[0]),
-        "viscous": (viscous, errors[1]),
-        "coulomb": (coulomb, errors[2] + 0.5 * spread),
-        "offset": (offset, errors[3] + 0.01 * abs(coulomb)),
-        "dead_time": (delay, 0.25 * windows.step),
-    }
-    estimates = {}
-    for name, (value, error) in found.items():
-        bias = (_BIAS[name] + _UNEXPLAINED[name] * residual) * abs(value)
-        estimates[name] = Estimate(value, value - error - bias, value + error + bias)
-    return ModulatingEstimate(
-        **estimates,
-        residual=residual,
-        condition=condition,
-        halves=spread / abs(coulomb) if coulomb else float("inf"),
-        periods=float(record.time[-1] - record.time[0]) / period,
-        windows=windows.count,
-    )
+        self._ones = self._windows @ (0.5 * (h[1:] + h[:-1]))
+        swing = record.command - record.command.mean()
+        if not np.any(swing):
+            raise ValueError("the torque is constant: it excites nothing")
+        self._typical = float(np.abs(swing).mean()) * _MEAN_WEIGHT * self._windows.width
+        speeds = np.abs(np.diff(record.position) / h)
+        self._fast = float(np.quantile(speeds, 0.99))
+        self._quantum = record.resolution / sqrt(12)
+
+    # -- one fit -----------------------------------------------------------------------------------
+
+    def fit(self, law: Law, start: Fit | None = None) -> Fit:
+        """Fit `law`, from the beginning or from another fit of the same record."""
+        motion = self.motion_of(start) if start else Motion(self.record, *self._begin, self.period)
+        model = start.model if start else None
+        delay = model.dead_time if model else self._first_delay(motion, law)
+        inertia = model.inertia if model else 0.0
+        problem = self._problem(motion, law, delay, inertia)
+        for number in range(_MOST_PASSES):
+            for _ in range(4 if number == 0 and start is None else 1):
+                problem = self._problem(motion, law, delay, inertia)
+                solution = problem.solution
+                delay += float(np.clip(solution[-1], -self.period / 16, self.period / 16))
+                delay = min(max(delay, -self.step), 1.2 * _LONGEST_DELAY * self.period)
+                inertia = float(solution[0])
+            model = Model(inertia, float(solution[1]), float(solution[2]), delay)
+            if not inertia > 0:
+                break
+            friction = law.terms(motion.cells) @ solution[3:-1]
+            moved = motion.update(model, friction)
+            if moved < 1e-3 * self.step and abs(solution[-1]) < 1e-3 * self.step:
+                break
+        problem = self._problem(motion, law, delay, inertia)
+        assert model is not None
+        return problem.fit(law, model, self._periods_of_rows, self._windows.is_wide)
+
+    def motion_of(self, fit: Fit) -> Motion:
+        """The motion as a fit has it."""
+        motion = Motion(self.record, *self._begin, self.period)
+        for _ in range(_SETTLING_PASSES):
+            motion.update(fit.model, fit.law.terms(motion.cells) @ fit.coefficients)
+        return motion
+
+    def with_rung(self, fit: Fit, rung: Rung) -> Fit | None:
+        """The fit with one more rung at its best shape; None where the record cannot show it."""
+        if rung == "load":
+            return self._checked(self.fit(replace(fit.law, load=True), fit))
+        motion = self.motion_of(fit)
+        if rung == "position":
+            shapes = self._pitches(motion, fit)
+        else:
+            shapes = np.geomspace(0.01, 0.8, _SHAPES) * self._fast
+        if len(shapes) < 3:
+            return None
+        laws = [_with_shape(fit.law, rung, float(shape)) for shape in shapes]
+        costs = [self._cost(motion, law, fit.model) for law in laws]
+        at = int(np.argmin(costs))
+        shape = self._refined(motion, fit, rung, shapes, at)
+        found = self.fit(_with_shape(fit.law, rung, shape), fit)
+        if rung != "position":  # the first shape was sought with a velocity that knew nothing of it
+            motion = self.motion_of(found)
+            around = np.array([shape / 1.6, shape, shape * 1.6])
+            shape = self._refined(motion, found, rung, around, 1)
+            found = self.fit(_with_shape(fit.law, rung, shape), found)
+        return self._checked(found)
+
+    def _checked(self, fit: Fit) -> Fit | None:
+        """None for a fit that is no friction."""
+        if not fit.model.inertia > 0 or not fit.coefficients[0] > 0:
+            return None
+        if fit.model.viscous * self._fast < -3 * _NEGATIVE * fit.coefficients[0]:
+            return None
+        if fit.law.stribeck is not None and fit.coefficients[1] < 0:
+            return None
+        if fit.law.load and fit.coefficients[fit.law.load_term] < 0:
+            return None
+        return fit
+
+    def _pitches(self, motion: Motion, fit: Fit) -> Array:
+        """Three pitches about the one whose waves explain most of what `fit` leaves, rad or m."""
+        time, y = self.record.time, self.record.position
+        swing, steps = float(np.ptp(y)), np.abs(np.diff(y))
+        finest = max(8 * self.record.resolution, 2.5 * float(np.quantile(steps, 0.8)))
+        waves = np.arange(1.0, min(swing / finest, _MOST_WAVES), 0.5)  # along the swing
+        if len(waves) < 3:
+            return np.array([])
+        problem = self._problem(motion, fit.law, fit.model.dead_time, fit.model.inertia)
+        angle = 2 * np.pi / swing * y[1:-1]
+        middle = 0.5 * (time[2:] - time[:-2])
+        gains = []
+        for number in waves:
+            turned = np.column_stack((np.cos(number * angle), np.sin(number * angle)))
+            gains.append(problem.explained_by(self._windows @ (turned * middle[:, None])))
+        best = float(waves[int(np.argmax(gains))])
+        return swing / np.array([best + 0.4, best, max(best - 0.4, 0.6)])
+
+    def _refined(self, motion: Motion, fit: Fit, rung: Rung, shapes: Array, at: int) -> float:
+        """Golden section about the best of the first guesses."""
+        a, b = np.log(shapes[max(at - 1, 0)]), np.log(shapes[min(at + 1, len(shapes) - 1)])
+        ratio = (sqrt(5) - 1) / 2
+        for _ in range(12):
+            c, d = b - ratio * (b - a), a + ratio * (b - a)
+            left, right = (
+                self._cost(motion, _with_shape(fit.law, rung, float(np.exp(x))), fit.model)
+                for x in (c, d)
+            )
+            a, b = (a, d) if left < right else (c, b)
+        return float(np.exp((a + b) / 2))
+
+    def _cost(self, motion: Motion, law: Law, model: Model) -> float:
+        """Held-out residual of a law, the motion taken as it is.
+
+        Viscous friction is not negative: a law that needs that takes one for the other.
+        """
+        problem = self._problem(motion, law, model.dead_time, model.inertia)
+        taken = -problem.solution[1] * self._fast / abs(problem.solution[3])
+        return problem.held_out(self._periods_of_rows) + max(float(taken) - _NEGATIVE, 0.0)
+
+    def _problem(self, motion: Motion, law: Law, delay: float, inertia: float) -> _Problem:
+        time = self.record.time
+        terms = law.terms(motion.cells)
+        moments = (
+            hat_moments(time, motion.integral),
+            motion.cells.hat_moments(time, terms),
+            hat_moments(time, motion.torque.integral(time - delay)),
+            hat_moments(time, motion.torque.double_integral(time - delay)),
+        )
+        sums = self._windows @ np.column_stack(moments)
+        left = np.column_stack(
+            (self._accelerations, sums[:, 0], self._ones, sums[:, 1:-2], sums[:, -2])
+        )
+        return _Problem(left, sums[:, -1], 1 / self._misses(inertia))
+
+    def _first_delay(self, motion: Motion, law: Law) -> float:
+        """Dead time of the least residual on a coarse grid, s."""
+        grid = np.linspace(0, 0.8 * _LONGEST_DELAY * self.period, _DELAYS)
+        costs = [self._problem(motion, law, float(delay), 0.0).without_delay() for delay in grid]
+        return float(grid[int(np.argmin(costs))])
+
+    @cached_property
+    def _periods_of_rows(self) -> NDArray[Any]:
+        """Number of the period that each window lies in."""
+        begin = self.record.time[0]
+        return np.asarray((self._windows.centre - begin) // self.period, int)
+
+    def noise(self, fit: Fit) -> float:
+        """Residual that the resolution alone leaves, as a share of the torque."""
+        noise = fit.model.inertia * self._quantum * self._windows.noise
+        misses = self._misses(fit.model.inertia)
+        return float(np.linalg.norm(noise / misses) / np.linalg.norm(self._typical / misses))
+
+    def _misses(self, inertia: float) -> Array:
+        """What each row may miss: the noise of the resolution, and a share of its torque."""
+        noise = inertia * self._quantum * self._windows.noise
+        result: Array = np.hypot(noise, _FLOOR * self._typical)
+        return result
+
+    # -- numbers with intervals --------------------------------------------------------------------
+
+    def estimate(self, fit: Fit, rigid: Fit) -> ModulatingEstimate:
+        """The fit as numbers."""
+        errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0))
+        f = float(fit.coefficients[0])
+        motion = self.motion_of(fit)
+        peak = float(np.abs(motion.cells.velocity).max())
+        slowest = fit.law.stribeck or 0.02 * peak
+        low = float(
+            curve(fit.law, fit.coefficients, fit.model.viscous, np.array([0.2 * slowest]))[0]
+        )
+        swing = float(np.abs(self.record.command - self.record.command.mean()).mean())
+        left = swing * fit.residual  # torque that no term explains, N.m or N
+        halves, widths = (abs(a - b) for a, b in (fit.halves, fit.widths))
+        if _WIDTHS[-1] * self.period < 2 * _NARROWEST * self.step:
+            widths = 0.0  # too few samples in the narrow windows to say anything
+        model = fit.model
+        return ModulatingEstimate(
+            coulomb=Estimate.around(f, float(errors[3]), 5e-4 * f + 0.5 * left + 0.25 * widths),
+            offset=Estimate.around(model.offset, float(errors[2]), 5e-4 * f + 0.3 * left),
+            viscous=Estimate.around(
+                model.viscous, float(errors[1]), 2e-3 * abs(model.viscous) + left / peak
+            ),
+            inertia=Estimate.around(
+                model.inertia,
+                float(errors[0]),
+                model.inertia * (1e-3 + fit.residual),
+            ),
+            dead_time=Estimate.around(
+                max(model.dead_time, 0.0),
+                float(errors[-1]),
+                0.01 * self.step + 0.02 * model.dead_time,
+            ),
+            law=fit.law,
+            coefficients=fit.coefficients,
+            low_speed=low,
+            peak_speed=peak,
+            residual=fit.residual,
+            held_out=fit.held_out,
+            rigid_residual=rigid.held_out,
+            condition=fit.condition,
+            halves=halves / abs(f) if f else float("inf"),
+            widths=widths / abs(f) if f else float("inf"),
+            noise=self.noise(fit),
+            periods=float(self.record.time[-1] - self.record.time[0]) / self.period,
+            windows=len(self._windows),
+            reversals=self.count,
+        )
+
+
+def _with_shape(law: Law, rung: Rung, shape: float) -> Law:
+    if rung == "stribeck":
+        return replace(law, stribeck=shape)
+    if rung == "soft":
+        return replace(law, soft=shape)
+    return replace(law, position=shape)
 
 
 class _Windows:
-    """Shifted windows over a record, and the integrals of their modulating functions."""
+    """sin⁴ windows of all widths over the inner samples, as a sparse matrix.
 
-    def __init__(self, record: Record, instants: Array, begins: int, period: float) -> None:
-        from scipy.interpolate import CubicSpline
+    Attributes
+    ----------
+    noise : (n,) what white noise of unit rms in the position makes in J = 1 times each row
+    centre, width : (n,) s
+    is_wide : (n,) whether a row belongs to the widest windows
+    """
 
-        time = record.time
-        self.step = float(np.median(np.diff(time)))
-        self.width = _WINDOW * period
-        lead = _LONGEST_DELAY * period  # the torque before the window acts in it
-        last = time[-1] - self.width
-        self.starts = np.arange(time[0] + lead, last, _SHIFT * period)
-        self.count = len(self.starts)
-        if self.count == 0:
-            return
-        points = max(64, _FINE * round(self.width / self.step)) + 1
-        x = np.linspace(0, 1, points)
-        s, c = np.sin(np.pi * x), np.cos(np.pi * x)
-        rate = np.pi / self.width
-        first = 4 * s**3 * c * rate  # φ'
-        second = (12 * s**2 * c**2 - 4 * s**4) * rate**2  # φ''
-        weight = np.full(points, self.width / (points - 1))
-        weight[0] = weight[-1] = weight[0] / 2
-        spline = CubicSpline(time, record.position - record.position.mean())
-        y = spline(self.starts[:, None] + x[None, :] * self.width)
-        self._total = self._integral(np.ones(1))[0]
-        signs = self._steps(instants, np.tile([-2.0, 2.0], len(instants))[: len(instants)] * begins)
-        signs += begins * self._total
-        self.left = np.column_stack(
-            (y @ (second * weight), -y @ (first * weight), signs, np.full(self.count, self._total))
+    def __init__(self, time: Array, period: float, step: float) -> None:
+        from scipy.sparse import csr_array
+
+        inner = time[1:-1]
+        begins: list[Array] = []
+        widths: list[Array] = []
+        for share in _WIDTHS:
+            width = max(share * period, _NARROWEST * step)
+            starts = np.arange(time[0] + _LONGEST_DELAY * period, time[-1] - width, _SHIFT * width)
+            begins.append(starts)
+            widths.append(np.full(len(starts), width))
+        begin, width_of = np.concatenate(begins), np.concatenate(widths)
+        first = np.searchsorted(inner, begin)
+        last = np.searchsorted(inner, begin + width_of)
+        counts = last - first
+        pointers = np.concatenate(([0], np.cumsum(counts)))
+        rows = np.repeat(np.arange(len(begin)), counts)
+        columns = np.arange(pointers[-1]) - np.repeat(pointers[:-1] - first, counts)
+        x = (inner[columns] - begin[rows]) / width_of[rows]
+        phi = np.sin(np.pi * x) ** 4
+        self._matrix = csr_array((phi, columns, pointers), shape=(len(begin), len(inner)))
+        # rms of Σ φ_k·D_k for white noise in y: the norm of D^T·φ, from sin⁴'s second derivative
+        mean_square = 4 * np.pi**4  # of φ'' for unit width
+        self.noise = np.sqrt(mean_square * step / width_of**3)
+        self.centre = begin + 0.5 * width_of
+        self.width = width_of
+        self.is_wide = width_of == width_of.max() if len(width_of) else np.zeros(0, bool)
+
+    def __len__(self) -> int:
+        return len(self.centre)
+
+    def __matmul__(self, moments: Array) -> Array:
+        result: Array = self._matrix @ moments
+        return result
+
+
+class _Problem:
+    """Weighted least squares: columns inertia, viscous, offset, the law's terms, change of dead time."""
+
+    def __init__(self, left: Array, right: Array, weights: Array) -> None:
+        self._weights = weights
+        self._left = left * weights[:, None]
+        self._right = right * weights
+        self._scale = np.linalg.norm(self._left, axis=0)
+        self._scale[self._scale == 0] = 1.0
+
+    def _solve(self, rows: Any = slice(None), columns: Any = slice(None)) -> Array:
+        scale = self._scale[columns]
+        a = self._left[rows][:, columns] / scale
+        solution, *_ = np.linalg.lstsq(a, self._right[rows], rcond=None)
+        result: Array = solution / scale
+        return result
+
+    @cached_property
+    def solution(self) -> Array:
+        """Of all rows."""
+        return self._solve()
+
+    def without_delay(self) -> float:
+        """Relative residual with the dead time as it is."""
+        solution = self._solve(columns=slice(0, -1))
+        rest = self._right - self._left[:, :-1] @ solution
+        return float(np.linalg.norm(rest) / np.linalg.norm(self._right))
+
+    def explained_by(self, columns: Array) -> float:
+        """Share of the residual's square that further columns, (n, k) before weighting, take away."""
+        more = columns * self._weights[:, None]
+        a = self._left / self._scale
+        rest = self._right - self._left @ self.solution
+        more = more - a @ np.linalg.lstsq(a, more, rcond=None)[0]
+        left = rest - more @ np.linalg.lstsq(more, rest, rcond=None)[0]
+        return 1 - float(left @ left) / float(rest @ rest)
+
+    def held_out(self, periods: NDArray[Any]) -> float:
+        """Relative residual on the odd periods of a fit to the even ones, and the other way round."""
+        odd = periods % 2 == 1
+        if odd.all() or not odd.any():
+            return float("inf")
+        square = 0.0
+        for fitted, left_out in ((odd, ~odd), (~odd, odd)):
+            rest = self._right[left_out] - self._left[left_out] @ self._solve(fitted)
+            square += float(rest @ rest)
+        return sqrt(square) / float(np.linalg.norm(self._right))
+
+    def fit(self, law: Law, model: Model, periods: NDArray[Any], is_wide: NDArray[Any]) -> Fit:
+        """Everything that this problem tells."""
+        solution = self.solution
+        rest = self._right - self._left @ solution
+        a = self._left / self._scale
+        odd = periods % 2 == 1
+        coulomb = 3
+        return Fit(
+            law,
+            model,
+            solution[3:-1],
+            self._jackknife(periods),
+            float(np.linalg.norm(rest) / np.linalg.norm(self._right)),
+            self.held_out(periods),
+            float(np.linalg.cond(a)),
+            (float(self._solve(odd)[coulomb]), float(self._solve(~odd)[coulomb])),
+            (float(self._solve(is_wide)[coulomb]), float(self._solve(~is_wide)[coulomb])),
         )
-        jumps = np.diff(record.command)
-        changed = np.flatnonzero(jumps)
-        self._jump_times = record.sent[1:][changed]
-        self._jumps = jumps[changed]
-        self._before = float(record.command[0])
-        self._limit = _LONGEST_DELAY * period
 
-    def _integral(self, x: Array) -> Array:
-        """∫φ from the window's begin to the share x of its width: sin⁴ in closed form."""
-        angle = np.pi * np.clip(x, 0, 1)
-        inner = 0.375 * angle - 0.25 * np.sin(2 * angle) + np.sin(4 * angle) / 32
-        result: Array = inner * (self.width / np.pi)
-        return result
+    def _jackknife(self, periods: NDArray[Any]) -> Array:
+        """Covariance of the solution by leaving out one period at a time.
 
-    def _steps(self, instants: Array, jumps: Array) -> Array:
-        """∫φ·s for a function s that is 0 before the first instant and jumps at each."""
-        x = (instants[None, :] - self.starts[:, None]) / self.width
-        result: Array = (self._total - self._integral(x)) @ jumps
-        return result
-
-    def right(self, delay: float) -> Array:
-        """∫φ·u(t − delay) of every window."""
-        changes = self._steps(self._jump_times + delay, self._jumps)
-        return np.asarray(self._before * self._total + changes, float)
-
-    def halves(self) -> tuple[slice, slice]:
-        """Windows of the first and of the second half, interleaved so that both see all tests."""
-        return slice(0, None, 2), slice(1, None, 2)
-
-    def solve(self, delay: float, part: slice = slice(None)) -> tuple[Array, Array, float, float]:
-        """Least squares: parameters, covariance, relative residual, condition."""
-        a, b = self.left[part], self.right(delay)[part]
-        scale = np.linalg.norm(a, axis=0)
-        scaled = a / scale
-        solution, *_ = np.linalg.lstsq(scaled, b, rcond=None)
-        rest = b - scaled @ solution
-        variance = float(rest @ rest) / max(len(b) - a.shape[1], 1)
-        normal = scaled.T @ scaled
-        covariance = np.linalg.pinv(normal) * variance / np.outer(scale, scale)
-        relative = float(np.linalg.norm(rest) / np.linalg.norm(b))
-        return solution / scale, covariance, relative, float(np.linalg.cond(scaled))
-
-    def best_delay(self) -> float:
-        """Dead time with the least residual: a coarse scan, then a golden section."""
-        grid = np.linspace(0, self._limit, 26)
-        costs = [self.solve(float(delay))[2] for delay in grid]
-        best = int(np.argmin(costs))
-        low, high = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, len(grid) - 1)])
-        ratio = (5**0.5 - 1) / 2
-        for _ in range(_SEARCH):
-            third, two_thirds = high - ratio * (high - low), low + ratio * (high - low)
-            if self.solve(third)[2] < self.solve(two_thirds)[2]:
-                high = two_thirds
-            else:
-                low = third
-            if high - low < 1e-4 * self.step:
-                break
-        return 0.5 * (low + high)
+        Neighbouring windows overlap, so rows are no independent data; periods nearly are.
+        """
+        a, b = self._left / self._scale, self._right
+        whole, moment = a.T @ a, a.T @ b
+        numbers = np.unique(periods)
+        found = []
+        for number in numbers:
+            rows = periods == number
+            part = a[rows]
+            found.append(
+                np.linalg.lstsq(whole - part.T @ part, moment - part.T @ b[rows], rcond=None)[0]
+            )
+        count = len(numbers)
+        if count < 3:
+            return np.full((a.shape[1], a.shape[1]), np.inf)
+        spread = np.array(found) - np.mean(found, axis=0)
+        small = 1 + 3 / count  # Student's t over 2 for so few periods, about
+        covariance: Array = (count - 1) / count * spread.T @ spread * small**2
+        return covariance / np.outer(self._scale, self._scale)

@@ -9,22 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import hypot, sqrt
 
+from commissioning.identification.estimate import Estimate
 from commissioning.identification.limit_cycle import LimitCycle
 
-__all__ = ["Estimate", "FrictionEstimate", "feasible", "from_cycles", "solve", "solve_delay"]
+__all__ = ["FrictionEstimate", "feasible", "from_cycles", "solve", "solve_delay"]
 
 # The first harmonic stands for the whole wave. Over the axes of benchmarks/two_relay.md, with the
 # relay settings that tworelay chooses, the value is off by this share of the truth.
 SYSTEMATIC_LOW, SYSTEMATIC_HIGH = -0.03, 0.06
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """A number with its interval, same unit; `low` ≤ truth ≤ `high` in 19 of 20 cases."""
-
-    value: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from commissioning.identification.describing_function import equivalent, relay
 from commissioning.runs import Samples
 
-__all__ = ["nyquist", "overview", "phase_plane", "tests_over_time"]
+__all__ = ["friction_curve", "nyquist", "overview", "phase_plane", "tests_over_time"]
 
 BLUE, ORANGE, GREY, GREEN = "#0b5394", "#c55a11", "#6b6b6b", "#2e7d32"
 _STYLE: Any = {
@@ -73,11 +73,11 @@ def stages(samples: Samples) -> list[tuple[float, str]]:
 
 
 def _is_stage(text: str) -> bool:
-    return not text.startswith(("staging", "relay test 2, try", "relay test 2, step", "stop path"))
+    return not text.startswith(("staging", "relay test 2, ", "stop path", "a dozen periods"))
 
 
 def tests_over_time(samples: Samples, result: dict[str, Any]) -> str:
-    """Position, torque and velocity over some periods of both relay tests."""
+    """Position, torque and velocity over some periods of both oscillations."""
     units = result["units"]
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(9.2, 5.4), layout="constrained")
@@ -94,7 +94,8 @@ def tests_over_time(samples: Samples, result: dict[str, Any]) -> str:
                     time, torque, color=GREY, lw=0.9, ls="--", label="measured by the drive"
                 )
             grid[2, column].plot(time, _velocity(samples, cut), color=GREEN, lw=1.1)
-            grid[0, column].set_title(f"relay test {column + 1}: period {period * 1000:.4g} ms")
+            name = result["experiment"]["cycles"][column]["name"]
+            grid[0, column].set_title(f"{name}: period {period * 1000:.4g} ms")
             grid[2, column].set_xlabel("time in ms")
         p, e = units["position"], units["effort"]
         for row, label in enumerate((f"position in {p}", f"torque in {e}", f"velocity in {p}/s")):
@@ -104,7 +105,7 @@ def tests_over_time(samples: Samples, result: dict[str, Any]) -> str:
 
 
 def phase_plane(samples: Samples, result: dict[str, Any]) -> str:
-    """Velocity over position of both limit cycles, with the switching points."""
+    """Velocity over position of both oscillations."""
     units = result["units"]
     cycles = result["experiment"]["cycles"]
     with mpl.rc_context(_STYLE):
@@ -124,7 +125,7 @@ def phase_plane(samples: Samples, result: dict[str, Any]) -> str:
 
 
 def nyquist(result: dict[str, Any]) -> str:
-    """The −1/N loci of both tests, without and with friction, and the three readings of G."""
+    """The −1/N loci of the relay tests, without and with friction, and the three readings of G."""
     cycles, points = result["experiment"]["cycles"], result["critical_point"]
     coulomb = complex(*result["experiment"]["complex_coulomb"])
     with mpl.rc_context(_STYLE):
@@ -132,6 +133,8 @@ def nyquist(result: dict[str, Any]) -> str:
         axes = figure.subplots()
         for n in (0, 1):
             d, eps = cycles[n]["relay_amplitude"], cycles[n]["hysteresis"]
+            if eps is None:  # an oscillator is no relay and has no locus
+                continue
             swings = np.linspace(eps * (1 + 1e-9), 2.2 * cycles[n]["half_swing"], 300)
             without = -1 / relay(swings, d, eps)
             with_friction = -1 / equivalent(swings, d, eps, coulomb)
@@ -158,6 +161,26 @@ def nyquist(result: dict[str, Any]) -> str:
         axes.set_xlabel(f"real part in {result['units']['gain']}")
         axes.set_ylabel(f"imaginary part in {result['units']['gain']}")
         axes.legend(loc="lower left", fontsize=6.5)
+        return _svg(figure)
+
+
+def friction_curve(result: dict[str, Any]) -> str:
+    """Friction against speed by the law that was found, Coulomb level and interval beside it."""
+    units, friction = result["units"], result["friction"]
+    curve = result["methods"]["modulating"]["curve"]
+    speed, level = np.array(curve["speed"]), np.array(curve["friction"])
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(4.7, 3.3), layout="constrained")
+        axes = figure.subplots()
+        axes.plot(speed, level, color=BLUE, lw=1.6, label="friction, mean of both directions")
+        f = friction["coulomb"]
+        axes.axhline(f["value"], color=ORANGE, lw=1.1, ls="--", label="Coulomb friction")
+        axes.axhspan(f["low"], f["high"], color=ORANGE, alpha=0.2, lw=0)
+        axes.set_ylim(0, 1.15 * max(level.max(), f["high"]))
+        axes.set_xlim(0, speed[-1])
+        axes.set_xlabel(f"speed in {units['position']}/s")
+        axes.set_ylabel(f"friction in {units['effort']}")
+        axes.legend(loc="lower right", fontsize=8)
         return _svg(figure)
 
 

@@ -42,6 +42,8 @@ def _render(result: dict[str, Any], samples: Samples | None, journal: dict[str, 
         if result["methods"]:
             pictures["tests"] = markupsafe.Markup(figures.tests_over_time(samples, result))  # noqa: S704
             pictures["phase_plane"] = markupsafe.Markup(figures.phase_plane(samples, result))  # noqa: S704
+            if "modulating" in result["methods"]:
+                pictures["curve"] = markupsafe.Markup(figures.friction_curve(result))  # noqa: S704
             pictures["nyquist"] = markupsafe.Markup(figures.nyquist(result))  # noqa: S704
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True

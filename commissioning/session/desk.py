@@ -17,8 +17,6 @@ from profiles.schema import Identity
 
 __all__ = ["Desk", "Options", "connect", "none_unfinished", "same_drive"]
 
-Method = str
-
 
 @dataclass(frozen=True, slots=True)
 class Options:
@@ -29,8 +27,10 @@ class Options:
     max_speed: float | None = None
     duration: float | None = None
     fraction: float = 0.85
-    method: Method = "two-relay"
+    method: str = "auto"
     solver: str = "bracket"
+    repeat: int = 1
+    output_filter: float | None = None
     cycle: float | None = None
     without_watchdog: bool = False
     dry_run: bool = False

@@ -3,15 +3,34 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from commissioning.compensation import Change, Known, propose
-from commissioning.identification.critical_point import corrected, friction_of, from_model
-from commissioning.identification.two_relay import Estimate
+from commissioning.identification.critical_point import (
+    CriticalPoint,
+    corrected,
+    friction_of,
+    from_model,
+    hysteresis_only,
+    of_plant,
+)
+from commissioning.identification.estimate import Estimate
+from commissioning.identification.verdict import (
+    Reason,
+    Weight,
+    dwell_share,
+    of_torque,
+    torque_gain,
+    verdict,
+)
 from commissioning.runner import Recorder
 from commissioning.runs import RunFolder, Samples
 from commissioning.session.desk import Desk, Options, connect, none_unfinished
-from commissioning.session.measurement import Measured, Measurement, half_width
+from commissioning.session.measurement import Measurement
+from commissioning.session.methods import PACE_IS_LONG, Measured
 from commissioning.session.preflight import (
     Limits,
     choose_limits,
@@ -19,32 +38,26 @@ from commissioning.session.preflight import (
     writes,
 )
 from commissioning.session.result import (
+    QUANTITIES,
     blank,
     changes_json,
     critical_points,
     cycles_json,
     friction_json,
-    method_json,
-    modulating_json,
+    methods_json,
 )
 from commissioning.settings import Settings
 from drivers.drive import Drive
-from drivers.sample import Sample
 from profiles.axis import Axis
-from profiles.errors import (
-    TwoRelayError,
-    WriteFailed,
-)
+from profiles.errors import MeasurementRejected, TwoRelayError, WriteFailed
 from profiles.library import digest, source_text
 from profiles.schema import CompensationLaw
 
 __all__ = ["Failure", "identify"]
 
-_LEAST_PERIOD = 20  # dead times
-_LEAST_CYCLES = 25  # a period
-_LARGEST_RESIDUAL = 0.015  # of the right-hand side
-_LARGEST_DIFFERENCE = 0.02  # of the friction, between two halves of the record
-_LIMITED_SHARE = 0.002  # of the cycles
+_LEAST_PERIOD = 20  # dead times, for the methods of the thesis
+_LEAST_CYCLES = 25, 15  # a period, for the methods of the thesis and for the others
+_LIMITED_SHARE, _MUCH_LIMITED = 0.002, 0.2  # of the cycles
 
 
 class Failure(Exception):
@@ -112,12 +125,8 @@ def _identify(
             axis, options, desk, drive, limits, recorder, Settings(desk.journal, run_id, drive)
         )
         measured = job.measure()
-        _fill(result, measured, axis, drive, recorder, limits)
-        try:
-            changes = _proposal(drive, measured, options.fraction)
-        except WriteFailed as error:
-            changes = []
-            result["quality"]["reasons"].append(f"nothing is proposed: {error}")
+        _fill(result, measured, job, drive, options)
+        changes = _proposal(drive, measured, options.fraction, result["quality"]["reasons"])
         result["compensation"] = changes_json(changes)
         result["status"] = "completed"
     except TwoRelayError as error:
@@ -167,45 +176,33 @@ def _dry_run(
 def _fill(
     result: dict[str, Any],
     measured: Measured,
-    axis: Axis,
+    job: Measurement,
     drive: Drive,
-    recorder: Recorder,
-    limits: Limits,
+    options: Options,
 ) -> None:
-    """Put the numbers into the result."""
-    known, first = measured.look, measured.tests.first
-    balance, fast = measured.balance, measured.modulating
-    estimates: dict[str, Estimate | None] = {
-        "coulomb": measured.coulomb,
-        "offset": measured.offset,
-        "viscous": measured.viscous,
-    }
-    if fast is not None:
-        estimates |= {"inertia": fast.inertia, "dead_time": fast.dead_time}
-        result["methods"]["modulating"] = modulating_json(fast)
-        right = from_model(
-            fast.inertia.value, fast.viscous.value, fast.dead_time.value, first.period
-        )
-        complex_coulomb = friction_of(first, right)
-    if balance is not None:
-        result["methods"]["two-relay"] = method_json(balance)
-        if fast is None:
-            complex_coulomb = balance.complex_coulomb
-            right = corrected(first, complex_coulomb)
-    method = "modulating" if fast is not None else "two-relay"
-    result["friction"] = friction_json(method, estimates, axis, drive.profile, drive.scaling)
-    result["critical_point"] = critical_points(first, right)
-    result["experiment"] = _experiment(recorder, drive.cycle, measured.tests.periods)
-    result["experiment"]["cycles"] = cycles_json((first, measured.tests.second))
-    result["experiment"]["complex_coulomb"] = [complex_coulomb.real, complex_coulomb.imag]
-    result["experiment"] |= {
-        "spans": [list(measured.tests.first_span), list(measured.tests.second_span)],
-        "tests": measured.tests.tests,
-        "limits": {
-            "travel": limits.travel,
-            "torque": limits.torque,
-            "speed": limits.speed,
-        },
+    """Put the numbers into the result; raises MeasurementRejected where they cannot be trusted."""
+    axis, recorder, limits, known = job.axis, job.recorder, job.limits, job.known
+    estimates = {name: measured.estimate(name) for name in QUANTITIES}
+    spread = _spread(measured.repeats)
+    coulomb = estimates["coulomb"]
+    if spread is not None and coulomb is not None:
+        low, high = min(coulomb.low, spread.low), max(coulomb.high, spread.high)
+        estimates["coulomb"] = Estimate(spread.value, low, high)
+    result["methods"] = methods_json(measured)
+    result["friction"] = friction_json(
+        measured.method, estimates, axis, drive.profile, drive.scaling
+    )
+    right, complex_coulomb = _right_point(measured, estimates)
+    result["critical_point"] = critical_points(measured.relay, right)
+    experiment = _experiment(recorder, drive.cycle, measured.periods)
+    begin = recorder.samples[0].sent
+    result["experiment"] = experiment | {
+        "cycles": cycles_json(measured.shown),
+        "complex_coulomb": [complex_coulomb.real, complex_coulomb.imag],
+        "spans": [[t - begin for t in one.span] for one in measured.shown],
+        "tests": measured.tests,
+        "repeats": measured.repeats,
+        "limits": {"travel": limits.travel, "torque": limits.torque, "speed": limits.speed},
         "first_look": {
             "breakaway": known.breakaway,
             "coulomb": known.coulomb,
@@ -215,49 +212,112 @@ def _fill(
             "dead_time": known.dead_time,
         },
     }
-    if recorder.samples:
-        begin = recorder.samples[0].sent
-        result["experiment"]["spans"] = [
-            [t - begin for t in span] for span in result["experiment"]["spans"]
-        ]
-    result["quality"] = _quality(measured, drive.cycle, recorder.samples)
+    reasons = [*measured.reasons, *_reasons(measured, job, drive.cycle, options.method)]
+    result["quality"] = {
+        "verdict": verdict(reasons),
+        "reasons": [r.text for r in sorted(reasons, key=lambda r: -r.weight)],
+    }
+    if result["quality"]["verdict"] == "rejected":
+        worst = [r.text for r in reasons if r.weight is Weight.CONTRADICTION]
+        raise MeasurementRejected("; ".join(worst))
 
 
-def _quality(measured: Measured, cycle: float, samples: list[Sample]) -> dict[str, Any]:
+def _spread(values: list[float]) -> Estimate | None:
+    """Mean of repeated measurements and what they scatter by, None for a single one."""
+    if len(values) < 2:
+        return None
+    import numpy as np
+    from scipy.stats import t
+
+    half = float(t.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / len(values) ** 0.5)
+    mean = float(np.mean(values))
+    return Estimate(mean, mean - half, mean + half)
+
+
+def _right_point(
+    measured: Measured, estimates: dict[str, Estimate | None]
+) -> tuple[CriticalPoint, complex]:
+    """The plant at the relay's own frequency, and the friction that puts the relay's locus on it."""
+    relay = measured.relay
+    inertia, viscous, dead_time = (estimates[n] for n in ("inertia", "viscous", "dead_time"))
+    if inertia is None:
+        if measured.method == "phase-locked" and measured.phase_locked is not None:
+            point = of_plant(measured.phase_locked.plant, measured.phase_locked.period)
+            return point, measured.phase_locked.complex_coulomb
+        balance = measured.two_relay or measured.two_relay_delay
+        if balance is None:  # the record shows no inertia, so no point either
+            return hysteresis_only(relay), 0j
+        return corrected(relay, balance.complex_coulomb), balance.complex_coulomb
+    point = from_model(
+        inertia.value,
+        viscous.value if viscous else 0.0,
+        dead_time.value if dead_time else 0.0,
+        relay.period,
+    )
+    return point, friction_of(relay, point)
+
+
+def _reasons(measured: Measured, job: Measurement, cycle: float, method: str) -> list[Reason]:
+    """What the raw samples and the drive say about the measurement."""
     reasons = []
-    tests, f = measured.tests, measured.coulomb.value
-    for number, test in ((1, tests.first), (2, tests.second)):
-        if not test.settled and measured.balance is not None:
-            reasons.append(f"relay test {number} did not settle within {test.periods} periods")
-    if tests.first.period < _LEAST_PERIOD * measured.look.dead_time:
+    relay, samples = measured.relay, job.recorder.samples
+    for name, text in (
+        ("viscous", "viscous friction"), ("inertia", "inertia"), ("dead_time", "dead time"),
+    ):  # fmt: skip
+        if getattr(measured.found, name, None) is not None and measured.estimate(name) is None:
+            reasons.append(
+                Reason(
+                    Weight.NOTE,
+                    f"{text} is not identifiable from this record: more travel or speed would show it",
+                )
+            )
+    thesis = method in PACE_IS_LONG
+    if thesis and relay.period < _LEAST_PERIOD * job.known.dead_time:
         reasons.append(
-            f"the period of {tests.first.period * 1000:.3g} ms is short against the dead time of "
-            f"{measured.look.dead_time * 1000:.3g} ms; more travel would allow a longer one"
+            Reason(
+                Weight.DOUBT,
+                f"the period of {relay.period * 1000:.3g} ms is short against the dead time of "
+                f"{job.known.dead_time * 1000:.3g} ms; more travel would allow a longer one",
+            )
         )
-    cycles = tests.first.period / cycle
-    if cycles < _LEAST_CYCLES:
+    cycles = relay.period / cycle
+    if cycles < _LEAST_CYCLES[0 if thesis else 1]:
         reasons.append(
-            f"a period has only {cycles:.0f} cycles of {cycle * 1000:g} ms; more travel or a "
-            "shorter --cycle would give more"
+            Reason(
+                Weight.DOUBT,
+                f"a period has only {cycles:.0f} cycles of {cycle * 1000:g} ms; more travel or a "
+                "shorter --cycle would give more",
+            )
         )
-    fast = measured.modulating
-    if fast is not None and fast.residual > _LARGEST_RESIDUAL:
-        reasons.append(
-            f"the rigid axis explains the record only to {100 * fast.residual:.1f} %: the axis is "
-            "elastic or strongly damped, its friction is not Coulomb-like, or it dwells at rest"
-        )
-    if fast is not None and fast.halves > _LARGEST_DIFFERENCE:
-        reasons.append(f"two halves of the record differ by {100 * fast.halves:.1f} % in friction")
     limited = sum(s.status.limit for s in samples) / max(len(samples), 1)
     if limited > _LIMITED_SHARE:
         reasons.append(
-            f"the drive's own limiter acted in {100 * limited:.1f} % of the cycles, so that the axis "
-            "did not get the torque that was commanded; raise the drive's limits or lower --max-torque"
+            Reason(
+                Weight.CONTRADICTION if limited > _MUCH_LIMITED else Weight.DOUBT,
+                f"the drive's own limiter acted in {100 * limited:.1f} % of the cycles, so that the "
+                "axis did not get the torque that was commanded; raise the drive's limits or lower "
+                "--max-torque",
+            )
         )
-    share = f / tests.first.relay_amplitude
+    record, f = measured.record, measured.found.coulomb.value
+    inertia = measured.estimate("inertia")
+    begin, end = record.time[0], record.time[-1]
+    cut = [s for s in samples if begin <= s.time <= end]
+    reasons += of_torque(
+        torque_gain(np.array([s.torque for s in cut]), np.array([s.command for s in cut])),
+        dwell_share(record, inertia.value if inertia else job.known.inertia, f),
+        relay.half_swing,
+        record.resolution,
+    )
+    share = f / relay.relay_amplitude
     if not 0.2 <= share <= 0.8:
-        reasons.append(f"friction is {share:.2f} of the smaller relay amplitude (0.2–0.8 is sound)")
-    return {"verdict": "usable" if reasons else "good", "reasons": reasons}
+        reasons.append(
+            Reason(
+                Weight.DOUBT,
+                f"friction is {share:.2f} of the smaller amplitude (0.2–0.8 is sound)",
+            )
+        )
+    return reasons
 
 
 def _experiment(recorder: Recorder, cycle: float, periods: int) -> dict[str, Any]:
@@ -280,16 +340,24 @@ def _experiment(recorder: Recorder, cycle: float, periods: int) -> dict[str, Any
     }
 
 
-def _proposal(drive: Drive, measured: Measured, fraction: float) -> list[Change]:
+def _proposal(
+    drive: Drive, measured: Measured, fraction: float, reasons: list[str]
+) -> list[Change]:
+    """What would be written; what the drive cannot hold goes into `reasons` instead."""
     law = drive.profile.compensation
     if law.law is CompensationLaw.NONE:
         return []
     old = {name: drive.read_raw(name) for name in law.terms.values()}
-    viscous = measured.viscous
+    viscous = measured.estimate("viscous")
     known = Known(
-        measured.coulomb.value,
-        measured.offset.value,
+        measured.found.coulomb.value,
+        measured.found.offset.value,
         viscous.value if viscous else None,
-        half_width(viscous) if viscous else 0.0,
+        viscous.half_width if viscous else 0.0,
     )
-    return propose(drive.profile, drive.scaling, known, old, fraction)
+    for attempt in (known, replace(known, viscous=None)):
+        try:
+            return propose(drive.profile, drive.scaling, attempt, old, fraction)
+        except WriteFailed as error:
+            reasons.append(f"not proposed: {error}")
+    return []

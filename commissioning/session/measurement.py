@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf
 from typing import TypeVar
 
 from commissioning.envelope import Envelope
-from commissioning.experiments.approach import approach
 from commissioning.experiments.creep import balancing_torque
+from commissioning.experiments.design import LONG, SHORT, RelayDesign, design
 from commissioning.experiments.first_look import FirstLook, first_look
 from commissioning.experiments.plan import Context, Plan, stand
 from commissioning.experiments.stopping import Stopping, run_up
-from commissioning.experiments.two_relay import RelayDesign, Solver, TwoRelay, design, two_relay
-from commissioning.identification.modulating import ModulatingEstimate, Record
-from commissioning.identification.modulating import estimate as modulating
-from commissioning.identification.two_relay import Estimate, FrictionEstimate, from_cycles
+from commissioning.experiments.two_relay import Solver
+from commissioning.identification.modulating import ModulatingEstimate
+from commissioning.identification.record import Record, unfiltered
+from commissioning.identification.verdict import Units
 from commissioning.runner import Recorder, run
 from commissioning.session.desk import Desk, Options
+from commissioning.session.methods import PACE_IS_LONG, Measured, measure
 from commissioning.session.preflight import (
     Limits,
     prove_watchdog,
@@ -35,56 +36,17 @@ from profiles.errors import (
 )
 from profiles.schema import Mode
 
-__all__ = ["Measured", "Measurement", "half_width"]
+__all__ = ["Measurement"]
 
 T = TypeVar("T")
 
 _LOW_SPEED = 0.35  # of the speed limit, while nothing is known
 _THERMAL = 5.0  # s at twice-and-a-bit the rated torque: budget in rated² seconds
 _BRAKING_SHARE = 0.7  # of the braking that was seen, for what is certain
+_SOUND = 0.35, 0.72  # f/d1 of well-conditioned oscillations
+_KNOWN = 0.3  # relative half-width of f up to which it is worth a new design
+_CHANGED = 0.87  # of d1: a smaller change is none
 _NOTICE = 4  # cycles: three missed ones and the one under way
-_SECOND_PERIODS = 6.5  # of test 2, for modulating functions
-_SEEN = 0.6  # relative half-width up to which viscous friction counts as seen
-
-
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """What was found, and by what. `balance` and `modulating`: the methods that were asked for."""
-
-    look: FirstLook
-    plan: RelayDesign
-    tests: TwoRelay
-    balance: FrictionEstimate | None
-    modulating: ModulatingEstimate | None
-
-    @property
-    def coulomb(self) -> Estimate:
-        """From the chosen method."""
-        return self._chosen.coulomb
-
-    @property
-    def offset(self) -> Estimate:
-        """From the chosen method."""
-        return self._chosen.offset
-
-    @property
-    def _chosen(self) -> ModulatingEstimate | FrictionEstimate:
-        found = self.modulating or self.balance
-        assert found is not None
-        return found
-
-    @property
-    def viscous(self) -> Estimate | None:
-        """Viscous friction where the record lets it be seen."""
-        found = self.modulating.viscous if self.modulating else None
-        if found is None or found.value <= 0:
-            return None
-        return found if half_width(found) <= _SEEN else None
-
-
-def half_width(estimate: Estimate) -> float:
-    """Relative half-width of an interval."""
-    return (estimate.high - estimate.low) / (2 * abs(estimate.value))
 
 
 class Measurement:
@@ -120,6 +82,10 @@ class Measurement:
             effort_unit=axis.effort_unit,
             tell=recorder.phase,
         )
+        self.units = Units(axis.position_unit, axis.effort_unit)
+        self.solver: Solver = "thesis" if options.solver == "thesis" else "bracket"
+        self.known: FirstLook
+        self.plan: RelayDesign
         self.envelope = Envelope(
             centre=limits.start,
             travel=limits.travel,
@@ -134,7 +100,10 @@ class Measurement:
         )
 
     def measure(self) -> Measured:
-        """All experiments; the settings are put back on every way out."""
+        """All experiments; the settings are put back on every way out.
+
+        The oscillations are run as often as `repeat` says.
+        """
         failure: BaseException | None = None
         try:
             with self.desk.interruption.deferred():
@@ -187,58 +156,84 @@ class Measurement:
         stopping = self._prove_stop(known)
         rest = known.offset
         self.context = replace(self.context, rest=rest)
-        plan = design(self.context, known, stopping)
+        self.known = known
+        self._stopping = stopping
+        self._rest = rest
+        self._design()
+        found = [self._once() for _ in range(self.options.repeat)]
+        found[-1].repeats = [one.found.coulomb.value for one in found]
+        return found[-1]
+
+    def _once(self) -> Measured:
+        measured = measure(self.options.method, self)
+        value = measured.found.coulomb.value
+        if not 0 < value < self.plan.d1:
+            e = self.axis.effort_unit
+            raise MeasurementRejected(
+                f"the oscillations give a friction of {value:.4g} {e}, which their own amplitude of "
+                f"{self.plan.d1:.4g} {e} contradicts; is the axis rigid, and free to move?"
+            )
+        return measured
+
+    def _design(self) -> None:
+        """Choose the oscillations, and what the envelope must allow for them."""
+        pace = LONG if self.options.method in PACE_IS_LONG else SHORT
+        self.plan = design(self.context, self.known, self._stopping, pace)
         self.envelope = replace(
             self.envelope,
             speed=self.limits.speed,
             stage="",
-            stopping=stopping,
-            relay_torque=plan.d2,
+            stopping=self._stopping,
+            relay_torque=self.plan.most,
         )
-        tests = self._run(self._relay_job(known, plan), rest)
-        method = self.options.method
-        measured = Measured(
-            known,
-            plan,
-            tests,
-            from_cycles(tests.first, tests.second, self.drive.cycle)
-            if method != "modulating"
-            else None,
-            self._modulating(tests) if method != "two-relay" else None,
-        )
-        found = measured.coulomb.value
-        if not 0 < found < plan.d1:
-            raise MeasurementRejected(
-                f"the relay tests give a friction of {found:.4g} "
-                f"{self.axis.effort_unit}, which their own amplitude of {plan.d1:.4g} "
-                f"{self.axis.effort_unit} contradicts; is the axis rigid, and free to move?"
-            )
-        return measured
 
-    def _modulating(self, tests: TwoRelay) -> ModulatingEstimate:
-        """Modulating functions on the last periods of test 1 and the first of test 2."""
-        samples = self.recorder.samples
-        begin, turn = tests.first_span
-        end = turn + _SECOND_PERIODS * tests.first.period
-        cut = [s for s in samples if begin <= s.time <= end]
-        record = Record.of(
+    def redesign(self, found: ModulatingEstimate) -> bool:
+        """Choose the oscillations anew from what a first record tells; False: they were right."""
+        f, before = found.coulomb.value, self.plan
+        if not 0 < f < self.context.torque or found.coulomb.half_width > _KNOWN:
+            return False
+        if _SOUND[0] <= f / before.d1 <= _SOUND[1]:
+            return False
+        self.known = replace(
+            self.known,
+            coulomb=f,
+            breakaway=max(f, found.low_speed),
+            inertia=found.inertia.value,
+            viscous=max(found.viscous.value, 0.0),
+        )
+        try:
+            self._design()
+        except (MeasurementRejected, PreflightRefused):
+            self.plan = before
+            return False
+        if self.plan.d1 < _CHANGED * before.d1 or self.plan.d1 * _CHANGED > before.d1:
+            e = self.axis.effort_unit
+            self.recorder.phase(
+                f"the friction is about {f:.3g} {e}: again with ±{self.plan.d1:.4g} and "
+                f"±{self.plan.d2:.4g} {e}"
+            )
+            return True
+        return False
+
+    def run(self, plan: Plan[T]) -> T:
+        """Drive a plan to its end, from and to the torque that balances the axis."""
+        return self._run(plan, self._rest)
+
+    def record(self, begin: float, end: float) -> Record:
+        """What was recorded between two instants (s), a filter in the position signal undone."""
+        # commands before the record act in it, too
+        early = begin - self.plan.period
+        cut = [s for s in self.recorder.samples if early <= s.time <= end]
+        whole = Record.of(
             [s.time for s in cut],
             [s.position for s in cut],
             [s.sent for s in cut],
             [s.command for s in cut],
             self.context.resolution,
         )
-        try:
-            return modulating(record)
-        except ValueError as error:
-            raise MeasurementRejected(f"modulating functions: {error}") from None
-
-    def _relay_job(self, known: FirstLook, plan: RelayDesign) -> Plan[TwoRelay]:
-        yield from approach(self.context, self.context.start, known)
-        solver: Solver = "thesis" if self.options.solver == "thesis" else "bracket"
-        if self.options.method == "modulating":
-            solver = "none"
-        return (yield from two_relay(self.context, plan, known, solver=solver))
+        if self.options.output_filter:
+            whole = unfiltered(whole, self.options.output_filter)
+        return whole.between(begin, end)
 
     def _holding_torque(self) -> float:
         """Torque that holds the axis, read while the drive holds its position."""

@@ -11,9 +11,13 @@ from commissioning.identification.critical_point import (
     hysteresis_only,
     naive,
 )
+from commissioning.identification.estimate import Estimate
 from commissioning.identification.limit_cycle import LimitCycle
+from commissioning.identification.lock_in import LockIn
 from commissioning.identification.modulating import ModulatingEstimate
-from commissioning.identification.two_relay import Estimate, FrictionEstimate
+from commissioning.identification.phase_locked import PhaseLocked
+from commissioning.identification.two_relay import FrictionEstimate
+from commissioning.session.methods import Measured, Oscillation
 from drivers.scaling import Scaling
 from profiles.axis import Axis
 from profiles.library import digest
@@ -102,8 +106,24 @@ def friction_json(
     return found
 
 
-def method_json(estimate: FrictionEstimate) -> dict[str, Any]:
-    """A harmonic-balance method: its complex friction and both tests."""
+def methods_json(measured: Measured) -> dict[str, Any]:
+    """Every method that was run."""
+    found: dict[str, Any] = {}
+    for name in ("two_relay", "two_relay_delay"):
+        balance = getattr(measured, name)
+        if balance is not None:
+            found[name.replace("_", "-")] = two_relay_json(balance)
+    if measured.phase_locked is not None:
+        found["phase-locked"] = balance_json(measured.phase_locked)
+    if measured.lock_in is not None:
+        found["lock-in"] = balance_json(measured.lock_in)
+    if measured.modulating is not None:
+        found["modulating"] = modulating_json(measured.modulating)
+    return found
+
+
+def two_relay_json(estimate: FrictionEstimate) -> dict[str, Any]:
+    """The thesis' balance: its complex friction and both tests."""
     cycles = (estimate.first, estimate.second)
     return {
         "coulomb": estimate.coulomb.value,
@@ -122,20 +142,68 @@ def method_json(estimate: FrictionEstimate) -> dict[str, Any]:
     }
 
 
+def balance_json(estimate: LockIn | PhaseLocked) -> dict[str, Any]:
+    """A balance on measured phasors."""
+    found: dict[str, Any] = {
+        key: getattr(estimate, key).value for key in QUANTITIES if hasattr(estimate, key)
+    }
+    found |= {
+        "real": estimate.complex_coulomb.real,
+        "imaginary": estimate.complex_coulomb.imag,
+        "modulus": abs(estimate.complex_coulomb),
+        "half_swing": list(estimate.half_swing),
+        "fundamental": list(estimate.fundamental),
+        "period": estimate.period,
+        "periods": list(estimate.periods),
+        "hysteresis": None,
+    }
+    if isinstance(estimate, LockIn):
+        found["harmonics"] = dict(zip(("1", "3", "5"), estimate.harmonics, strict=True))
+        found["rejected"] = list(estimate.rejected)
+        found["plant"] = [estimate.plant.real, estimate.plant.imag]
+    else:
+        found["phase_deg"] = list(estimate.phase_deg)
+    return found
+
+
 def modulating_json(estimate: ModulatingEstimate) -> dict[str, Any]:
-    """Modulating functions: the numbers, and what says how far to trust them."""
+    """Modulating functions: the numbers, the friction law, and what says how far to trust them."""
+    import numpy as np
+
     numbers = {key: getattr(estimate, key).value for key in QUANTITIES}
-    checks = ("residual", "condition", "halves", "periods", "windows")
-    return numbers | {key: getattr(estimate, key) for key in checks}
+    checks = (
+        "residual", "held_out", "rigid_residual", "condition", "halves", "widths", "noise",
+        "periods", "windows", "reversals", "low_speed", "peak_speed",
+    )  # fmt: skip
+    law = estimate.law
+    speed = np.geomspace(0.002, 1, 40) * estimate.peak_speed
+    return (
+        numbers
+        | {key: getattr(estimate, key) for key in checks}
+        | {
+            "law": {
+                "terms": ["coulomb", "viscous", *law.rungs],
+                "stribeck_speed": law.stribeck,
+                "soft_speed": law.soft,
+                "pitch": law.position,
+                "coefficients": estimate.coefficients.tolist(),
+            },
+            "curve": {"speed": speed.tolist(), "friction": estimate.curve(speed).tolist()},
+        }
+    )
 
 
-def cycles_json(cycles: Sequence[LimitCycle]) -> list[dict[str, Any]]:
-    """The limit cycles of the relay tests."""
+def cycles_json(shown: Sequence[Oscillation]) -> list[dict[str, Any]]:
+    """The oscillations that the report shows; not measured is null."""
     names = (
         "relay_amplitude", "hysteresis", "bias", "period", "half_swing", "fundamental", "duty",
         "periods", "settled",
     )  # fmt: skip
-    return [{name: getattr(cycle, name) for name in names} for cycle in cycles]
+    return [
+        {"name": one.name}
+        | {name: None if (value := getattr(one.cycle, name)) != value else value for name in names}
+        for one in shown
+    ]
 
 
 def critical_points(cycle: LimitCycle, right: CriticalPoint) -> dict[str, Any]:

@@ -1,8 +1,8 @@
 """The virtual axes: published machines and a bench, with every figure an option.
 
-Sources: `emps` is Janot, Gautier, Brunot 2019 (nonlinearbenchmark.org); `thesis-motor` is section
-4.10 of Blaha's thesis with k_DT read as 8e-3 and a Coulomb friction of ours, without its output
-filter; `bench` and `vertical` are made up.
+Each axis names its source in `AXES`; [M] marks a figure that was given from memory there and is not
+verified. `bench` and `vertical` are made up. `thesis-motor` is section 4.10 of Blaha's thesis with k_DT
+read as 8e-3 and a Coulomb friction of ours; its output filter is the option `output_filter=20`.
 """
 
 from __future__ import annotations
@@ -11,10 +11,14 @@ import zlib
 from dataclasses import dataclass, fields, replace
 from typing import Literal
 
-from drivers.virtual.plant import PlantParameters
+from drivers.virtual.compliant_plant import CompliantParameters, CompliantPlant
+from drivers.virtual.friction import Dry, LuGre, Soft
+from drivers.virtual.plant import Plant, PlantParameters
 from profiles.errors import UnknownName, UsageError
 
 __all__ = ["AXES", "VirtualAxis", "configured"]
+
+_TURN = 6.283185307179586  # rad
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +31,14 @@ class VirtualAxis:
     Parameters
     ----------
     inertia, viscous, coulomb, breakaway, load, asymmetry, lag : see PlantParameters
+    stribeck : speed within which friction falls from breakaway to Coulomb, rad/s or m/s; 0: at once
+    soft, soft_shift : width and shift of a friction that rises smoothly through zero speed, rad/s or m/s
+    lugre, lugre_damping : stiffness (N.m/rad or N/m) and damping of the bristles; 0: none
+    load_friction, cogging, pitch, resonance, ratio, damping, backlash, load_coulomb, output_filter :
+        see CompliantParameters
+    jitter : share of the cycles that are late, by an exponential time of mean one cycle
+    loss : share of the cycles without a sample
+    stamp : rms error of the time stamps, s
     delay : s, from a torque command to its torque
     encoder : counts per turn, or per metre
     cycle : s, of the link, where the link has no other
@@ -57,26 +69,67 @@ class VirtualAxis:
     watchdog: float = 0.05
     brake: bool = False
     seed: int = 0
+    stribeck: float = 0.0
+    soft: float = 0.0
+    soft_shift: float = 0.0
+    lugre: float = 0.0
+    lugre_damping: float = 0.0
+    load_friction: float = 0.0
+    cogging: float = 0.0
+    pitch: float = _TURN / 12
+    resonance: float = 0.0
+    ratio: float = 1.0
+    damping: float = 0.02
+    backlash: float = 0.0
+    load_coulomb: float = 0.0
+    output_filter: float = 0.0
+    jitter: float = 0.0
+    loss: float = 0.0
+    stamp: float = 0.0
 
     @property
-    def plant(self) -> PlantParameters:
-        """Mechanics of this axis."""
-        return PlantParameters(
-            self.inertia,
-            self.viscous,
-            self.coulomb,
-            self.coulomb if self.breakaway is None else self.breakaway,
-            self.load,
-            self.asymmetry,
-            self.lag,
-        )
+    def is_rigid(self) -> bool:
+        """Whether one rigid mass with Coulomb friction is all there is: solved in closed form."""
+        return not (
+            self.stribeck or self.soft or self.lugre or self.load_friction or self.cogging
+            or self.resonance or self.backlash or self.load_coulomb or self.output_filter
+        )  # fmt: skip
+
+    @property
+    def held_by(self) -> float:
+        """Torque that the axis withstands at rest, N.m or N."""
+        return self.coulomb if self.breakaway is None else self.breakaway
+
+    def build(self) -> Plant | CompliantPlant:
+        """The mechanics of this axis, at rest at 0; raises ValueError."""
+        if self.is_rigid:
+            return Plant(
+                PlantParameters(
+                    self.inertia, self.viscous, self.coulomb, self.held_by, self.load,
+                    self.asymmetry, self.lag,
+                )
+            )  # fmt: skip
+        return CompliantPlant(
+            CompliantParameters(
+                self.inertia, self.viscous, self._friction(), self.load, self.asymmetry,
+                self.load_friction, self.lag, self.cogging, self.pitch, self.resonance, self.ratio,
+                self.damping, self.backlash, self.load_coulomb, self.output_filter,
+            )
+        )  # fmt: skip
+
+    def _friction(self) -> Dry | Soft | LuGre:
+        if self.lugre:
+            return LuGre(
+                self.coulomb, self.held_by, self.stribeck or 1.0, self.lugre, self.lugre_damping
+            )
+        if self.soft:
+            return Soft(self.coulomb, self.soft, self.soft_shift)
+        return Dry(self.coulomb, self.held_by, self.stribeck)
 
     @property
     def resolution(self) -> float:
         """Position of one encoder count, rad or m."""
-        if self.motion == "rotary":
-            return 6.283185307179586 / self.encoder
-        return 1 / self.encoder
+        return (_TURN if self.motion == "rotary" else 1.0) / self.encoder
 
     @property
     def serial(self) -> int:
@@ -102,10 +155,77 @@ AXES: dict[str, VirtualAxis] = {
             inertia=1e-4, viscous=2e-4, coulomb=0.08, load=0.15,
             rated=1.3, peak=3.9, speed=300.0, travel=12.566370614359172, brake=True,
         ),
+        # Janot, Gautier, Brunot 2019, nonlinearbenchmark.org
         VirtualAxis(
             name="emps", title="EMPS ball-screw slide", motion="linear",
             inertia=95.1089, viscous=203.5034, coulomb=20.3935, load=-3.1648,
             rated=117.2, peak=351.5, speed=1.0, travel=0.12, encoder=2e7,
+        ),
+        # Mablekos-Alexiou et al., IEEE T-RO 37(4) 2021, fits of its data
+        VirtualAxis(
+            name="epos-screw", title="Small servo with a lead screw: Stribeck friction",
+            motion="rotary", inertia=2.204e-6, viscous=3.4e-5, coulomb=2.59e-3, breakaway=3.11e-3,
+            stribeck=3.54, load=0.36e-3, rated=9.84e-3, peak=29.5e-3, speed=800.0, travel=60.0,
+            encoder=4096,
+        ),
+        VirtualAxis(
+            name="epos-antibacklash", title="Small servo with a preloaded screw: much friction",
+            motion="rotary", inertia=2.25e-6, viscous=2.14e-5, coulomb=4.76e-3, load=0.12e-3,
+            rated=9.84e-3, peak=29.5e-3, speed=800.0, travel=60.0, encoder=4096,
+        ),
+        VirtualAxis(
+            name="epos-worm", title="Small servo with a worm gear 60:1: Stribeck friction",
+            motion="rotary", inertia=6.5e-7, viscous=1.25e-5, coulomb=1.37e-3, breakaway=1.61e-3,
+            stribeck=0.31, load=0.46e-3, rated=9.84e-3, peak=29.5e-3, speed=1500.0, travel=100.0,
+            encoder=4096,
+        ),
+        # malik-robert/HSM150-data
+        VirtualAxis(
+            name="hsm150", title="Servo motor whose friction differs by direction", motion="rotary",
+            inertia=1.2e-4, viscous=1e-4, coulomb=0.0195, asymmetry=0.02,
+            rated=0.39, peak=1.17, speed=400.0, travel=12.566370614359172, encoder=10000,
+        ),
+        # shamilmamedov/dynamic_calibration; limit 330 N.m [M]
+        VirtualAxis(
+            name="ur10e", title="Joint 1 of a robot arm: harmonic drive, much viscous friction",
+            motion="rotary", inertia=8.17, viscous=31.97, coulomb=20.83,
+            rated=165.0, peak=330.0, speed=6.0, travel=2.0,
+        ),
+        # Gaz et al., RA-L 2019: phi1 0.546, phi2 5.1, phi3 0.0395; inertia 0.2 [M]
+        VirtualAxis(
+            name="franka", title="Joint 1 of a robot arm: soft friction", motion="rotary",
+            inertia=0.2, viscous=0.0, coulomb=0.273, soft=2 / 5.1, soft_shift=0.0395,
+            rated=12.0, peak=87.0, speed=20.0, travel=2.5,
+        ),
+        # Rhoban/bam, model M1; 4096 counts [M]
+        VirtualAxis(
+            name="mx106", title="Hobby servo with a high gear ratio", motion="rotary",
+            inertia=0.0266, viscous=0.0352, coulomb=0.1035,
+            rated=2.0, peak=8.0, speed=30.0, travel=3.0, encoder=4096,
+        ),
+        # Rhoban/bam; 19 bit [M]. Its Stribeck speed has no amplitude in our source: left out
+        VirtualAxis(
+            name="erob", title="Robot joint whose friction grows with the torque", motion="rotary",
+            inertia=0.959, viscous=8.392, coulomb=5.611, load_friction=0.166,
+            rated=40.0, peak=120.0, speed=20.0, travel=3.0, encoder=524288,
+        ),
+        # robotics-toolbox-matlab; Corke and Armstrong-Helouvry 1994: +0.395/-0.435 N.m; link 1.14 kg.m2 [M]
+        VirtualAxis(
+            name="puma", title="Joint 1 of a robot arm at its motor: friction differs by direction",
+            motion="rotary", inertia=4.9e-4, viscous=1.48e-3, coulomb=0.415, asymmetry=-0.0482,
+            rated=2.0, peak=6.0, speed=400.0, travel=25.0, encoder=1000,
+        ),
+        # geez0x1/CompliantJointToolbox: k 6000 N.m/rad between 0.3594 and 0.1120 kg.m2
+        VirtualAxis(
+            name="tree", title="Series elastic joint: resonance at 42 Hz", motion="rotary",
+            inertia=0.4714, viscous=3.44, coulomb=3.3, load_coulomb=3.7, resonance=42.19,
+            ratio=0.1120 / 0.3594, rated=40.0, peak=120.0, speed=15.0, travel=3.0,
+        ),
+        # enactic/openarm: 0.572*tanh(193.8 v); inertia 0.05 [M]
+        VirtualAxis(
+            name="openarm", title="Robot arm joint: nearly hard friction", motion="rotary",
+            inertia=0.05, viscous=0.522, coulomb=0.572, soft=1 / 193.8, load=0.012,
+            rated=5.0, peak=20.0, speed=20.0, travel=3.0,
         ),
     )
 }  # fmt: skip
@@ -114,6 +234,11 @@ AXES: dict[str, VirtualAxis] = {
 _RANGES = {
     "encoder": (16, 2**30), "cycle": (1e-5, 1.0), "rated": (1e-3, 4000.0),
     "speed": (1e-3, 1e4), "delay": (0, 1.0), "watchdog": (0, 60.0), "lag": (0, 10.0),
+    "stribeck": (0, 1e4), "soft": (0, 1e4), "lugre": (0, 1e9), "lugre_damping": (0, 1e6),
+    "load_friction": (0, 0.9), "pitch": (1e-6, 1e4), "resonance": (0, 2000.0), "ratio": (1e-3, 1e3),
+    "damping": (0, 1.0), "backlash": (0, 1e3), "load_coulomb": (0, 1e6), "output_filter": (0, 1e4),
+    "jitter": (0, 1.0), "loss": (0, 0.3), "stamp": (0, 0.1), "cogging": (-1e6, 1e6),
+    "inertia": (1e-9, 1e9), "viscous": (0, 1e9), "coulomb": (0, 1e9), "asymmetry": (-0.99, 0.99),
 }  # fmt: skip
 
 _OPTIONS = {
@@ -137,7 +262,7 @@ def configured(name: str, options: dict[str, str]) -> VirtualAxis:
             raise UnknownName("option of a virtual axis", key, [*_OPTIONS, "seed", "state"])
     axis = replace(AXES[name], **changes)  # type: ignore[arg-type]
     try:
-        _ = axis.plant
+        axis.build()
     except ValueError as error:
         raise UsageError(f"virtual axis '{name}': {error}") from None
     for key in ("encoder", "cycle", "rated", "peak", "speed", "travel"):
@@ -148,6 +273,17 @@ def configured(name: str, options: dict[str, str]) -> VirtualAxis:
             raise UsageError(
                 f"virtual axis '{name}': {key} is {getattr(axis, key):g}: must be {low:g}…{high:g}"
             )
+    if axis.held_by < axis.coulomb:
+        raise UsageError(
+            f"virtual axis '{name}': breakaway is {axis.held_by:g}: must be at least coulomb, "
+            f"{axis.coulomb:g}"
+        )
+    if sum(bool(kind) for kind in (axis.soft, axis.lugre, axis.stribeck and not axis.lugre)) > 1:
+        raise UsageError(f"virtual axis '{name}': stribeck, soft and lugre exclude each other")
+    if axis.backlash and not axis.resonance:
+        raise UsageError(
+            f"virtual axis '{name}': backlash lies between motor and load: give resonance too"
+        )
     if not axis.rated <= axis.peak <= 30 * axis.rated:
         raise UsageError(
             f"virtual axis '{name}': peak is {axis.peak:g}: must be {axis.rated:g}…"

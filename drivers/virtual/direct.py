@@ -5,6 +5,7 @@ It steps: each exchange lets one cycle of simulated time pass.
 
 from __future__ import annotations
 
+import random
 import struct
 
 from drivers.drive import Exchange
@@ -17,12 +18,16 @@ from profiles.schema import Address, Identity, ModbusAddress, Profile
 
 __all__ = ["DirectBus"]
 
+_MOST_MISSED = 2  # in a row: one more would be a lost link
 _new = tuple.__new__  # a named tuple in half the time
 _CODES = {"i16": "h", "u16": "H", "i32": "i", "u32": "I"}
 
 
 class DirectBus:
-    """Raw access to a virtual drive by the addresses of its Modbus profile."""
+    """Raw access to a virtual drive by the addresses of its Modbus profile.
+
+    The axis' `jitter`, `loss` and `stamp` make it as bad as a real link, the same way each time.
+    """
 
     def __init__(self, device: Device, profile: Profile) -> None:
         self.device = device
@@ -35,6 +40,10 @@ class DirectBus:
                 "on a wire to use another"
             )
         self._mode_is_torque = True
+        axis = device.firmware.axis
+        self._is_bad = bool(axis.jitter or axis.loss or axis.stamp)
+        self._random = random.Random(axis.seed)  # noqa: S311
+        self._stamped = 0.0
 
     def identify(self) -> Identity:
         """Who the virtual drive says it is."""
@@ -77,9 +86,29 @@ class DirectBus:
         else:
             firmware.write("position_target", values[1])
         firmware.feed_watchdog()
+        if self._is_bad:
+            return self._bad_exchange(values, sent)
         firmware.advance(self.device.cycle)
         feedback = (firmware.statusword, firmware.error_code, firmware.position, firmware.torque)
         return _new(Exchange, (feedback, values, sent, firmware.now / SECOND, 0.0, 0))
+
+    def _bad_exchange(self, values: tuple[int, ...], sent: float) -> Exchange:
+        """The same on a link that is late, loses samples, and stamps them wrongly."""
+        firmware, axis, draw = self._firmware, self._firmware.axis, self._random
+        missed, lateness = 0, 0.0
+        while True:
+            late = draw.expovariate(1.0) if draw.random() < axis.jitter else 0.0
+            lateness = max(lateness, late * self.cycle)
+            firmware.advance(round(self.device.cycle * (1 + late)))
+            firmware.feed_watchdog()
+            if missed >= _MOST_MISSED or draw.random() >= axis.loss:
+                break
+            missed += 1
+        feedback = (firmware.statusword, firmware.error_code, firmware.position, firmware.torque)
+        stamp = firmware.now / SECOND + (draw.gauss(0.0, axis.stamp) if axis.stamp else 0.0)
+        stamp = max(stamp, self._stamped + 0.01 * self.cycle, sent)
+        self._stamped = stamp
+        return _new(Exchange, (feedback, values, sent, stamp, lateness, missed))
 
     def wait(self, seconds: float) -> None:
         """Let simulated time pass."""

@@ -21,7 +21,6 @@ from drivers.virtual.objects import (
     MODES,
     objects,
 )
-from drivers.virtual.plant import Plant
 
 __all__ = ["Denied", "Firmware", "Reason", "State"]
 
@@ -81,7 +80,7 @@ class Firmware:
     now : int
         Simulated time since power-on, ns.
     state : State
-    plant : Plant
+    plant : Plant or CompliantPlant
     on_emergency : callable(error_code)
         Called when an error comes up (and with 0 when it is reset).
     silence_code : int
@@ -91,7 +90,7 @@ class Firmware:
     def __init__(self, axis: VirtualAxis, memory: Memory | None = None) -> None:
         self.axis = axis
         self.memory = memory or Memory(None)
-        self.plant = Plant(axis.plant)
+        self.plant = axis.build()
         self.plant.locked = axis.brake
         self.now = 0
         self._state = State.SWITCH_ON_DISABLED

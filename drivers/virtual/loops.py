@@ -15,6 +15,8 @@ class Loops:
 
     def __init__(self, axis: VirtualAxis) -> None:
         bandwidth = min(250.0, 0.25 / axis.lag) if axis.lag else 250.0  # rad/s
+        if axis.resonance:
+            bandwidth = min(bandwidth, 0.5 * axis.resonance)  # well below it
         self.velocity_gain = axis.inertia * bandwidth
         self.integral_gain = self.velocity_gain * bandwidth / 4
         self.position_gain = bandwidth / 5

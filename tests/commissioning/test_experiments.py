@@ -31,46 +31,129 @@ def run() -> Identify:
     return measure
 
 
-@pytest.mark.parametrize("name", AXES)
-def test_friction_is_within_6_percent_on_every_axis_at_1_ms(run: Identify, name: str) -> None:
-    friction = run(f"virtual://{name}", cycle=0.001)["friction"]
-    truth = AXES[name]
-    assert friction["coulomb"]["value"] == pytest.approx(truth.coulomb, rel=0.06)
+RIGID = sorted(set(AXES) - {"franka", "openarm", "tree"})
+
+
+@pytest.mark.parametrize("name", RIGID)
+def test_auto_finds_everything_within_1_percent(run: Identify, name: str) -> None:
+    # the preloaded screw takes half of the rated torque: its tests need more
+    torque = 0.02 if name == "epos-antibacklash" else None
+    result = run(f"virtual://{name}", max_torque=torque)
+    friction, truth = result["friction"], AXES[name]
+    assert friction["method"] == "modulating"
+    assert friction["coulomb"]["value"] == pytest.approx(truth.coulomb, rel=0.01)
+    assert friction["inertia"]["value"] == pytest.approx(truth.inertia, rel=0.01)
+    assert friction["viscous"]["value"] == pytest.approx(truth.viscous, rel=0.05)
+    assert friction["dead_time"]["value"] == pytest.approx(truth.delay, rel=0.1)
+    offset = truth.load + truth.asymmetry * truth.coulomb
+    assert friction["offset"]["value"] == pytest.approx(offset, abs=0.01 * truth.coulomb)
     assert friction["coulomb"]["low"] <= truth.coulomb <= friction["coulomb"]["high"]
-    assert friction["offset"]["value"] == pytest.approx(truth.load, abs=0.03 * truth.coulomb)
     assert friction["coulomb"]["raw"] == pytest.approx(
         1000 * friction["coulomb"]["value"] / truth.rated, rel=1e-9
     )
+    assert result["experiment"]["periods"] <= 30
+    assert result["quality"]["verdict"] == "good"
+
+
+def test_auto_takes_a_dozen_periods_of_a_rigid_axis(run: Identify) -> None:
+    result = run("virtual://bench")
+    assert result["experiment"]["periods"] == 12
+    assert set(result["methods"]) == {"modulating"}
+
+
+@pytest.mark.parametrize(
+    ("link", "rung", "words"),
+    [
+        ("virtual://epos-screw", "stribeck", "Stribeck effect"),
+        ("virtual://franka", "soft", "soft friction"),
+        ("virtual://erob", "load", "friction grows with the torque"),
+        ("virtual://bench?cogging=0.01&travel=6", "position", "position-dependent"),
+    ],
+)
+def test_friction_that_is_not_coulomb_friction_is_recognised_and_said(
+    run: Identify, link: str, rung: str, words: str
+) -> None:
+    result = run(link)
+    assert rung in result["methods"]["modulating"]["law"]["terms"]
+    assert "lock-in" in result["methods"], "thirty periods, and the exact balance beside it"
+    assert any(words in reason for reason in result["quality"]["reasons"])
+
+
+def test_soft_friction_has_the_level_of_its_sigmoid(run: Identify) -> None:
+    """Gaz et al. 2019, joint 1: 0.546/2 N.m, reached over 2/5.1 rad/s."""
+    result = run("virtual://franka")
+    assert result["friction"]["coulomb"]["value"] == pytest.approx(0.273, rel=0.02)
+    law = result["methods"]["modulating"]["law"]
+    assert law["soft_speed"] == pytest.approx(2 / 5.1, rel=0.05)
+
+
+def test_a_series_elastic_axis_is_not_called_good(run: Identify) -> None:
+    result = run("virtual://tree")
+    assert result["quality"]["verdict"] == "usable"
+    assert result["friction"]["coulomb"]["value"] == pytest.approx(7.0, rel=0.03)
+    assert result["friction"]["coulomb"]["low"] <= 7.0 <= result["friction"]["coulomb"]["high"]
 
 
 @pytest.mark.parametrize(
     "options",
     ["breakaway=0.13", "load=0.05", "lag=0.001&asymmetry=0.2", "encoder=2500", "delay=0.01",
-     "viscous=0.02", "coulomb=0.4", "coulomb=0.02"],
+     "viscous=0.02", "coulomb=0.4", "coulomb=0.02", "jitter=0.1&loss=0.02"],
 )  # fmt: skip
 @pytest.mark.parametrize("cycle", [0.001, 0.005])
-def test_friction_is_within_8_percent_whatever_the_axis(
+def test_auto_is_within_1_percent_whatever_the_axis(
     run: Identify, options: str, cycle: float
 ) -> None:
     link = parse(f"virtual://bench?{options}")
-    found = run(link.text, cycle=cycle)["friction"]["coulomb"]["value"]
-    assert found == pytest.approx(configured("bench", link.options).coulomb, rel=0.08)
+    found = run(link.text, cycle=cycle)["friction"]["coulomb"]
+    truth = configured("bench", link.options).coulomb
+    assert found["value"] == pytest.approx(truth, rel=0.01)
+    assert found["low"] <= truth <= found["high"]
 
 
-@pytest.mark.parametrize("name", ["bench", "vertical", "emps"])
-@pytest.mark.parametrize("cycle", [0.001, 0.004])
-def test_modulating_functions_find_everything_in_a_short_record(
-    run: Identify, name: str, cycle: float
+@pytest.mark.parametrize("name", ["bench", "thesis-motor", "vertical", "emps"])
+@pytest.mark.parametrize("method", ["two-relay", "two-relay-delay", "phase-locked"])
+def test_the_methods_of_the_thesis_are_within_6_percent(
+    run: Identify, name: str, method: str
 ) -> None:
-    result = run(f"virtual://{name}", cycle=cycle, method="modulating")
+    friction = run(f"virtual://{name}", cycle=0.001, method=method)["friction"]
+    truth = AXES[name]
+    assert friction["method"] == method
+    assert friction["coulomb"]["value"] == pytest.approx(truth.coulomb, rel=0.06)
+    assert friction["coulomb"]["low"] <= truth.coulomb <= friction["coulomb"]["high"]
+    assert friction["offset"]["value"] == pytest.approx(truth.load, abs=0.03 * truth.coulomb)
+    assert friction["inertia"]["value"] is None, "not measured is null"
+
+
+@pytest.mark.parametrize("name", ["bench", "emps", "ur10e"])
+@pytest.mark.parametrize("cycle", [0.001, 0.004])
+def test_lock_in_is_exact_without_a_model(run: Identify, name: str, cycle: float) -> None:
+    result = run(f"virtual://{name}", cycle=cycle, method="lock-in")
     friction, truth = result["friction"], AXES[name]
-    assert friction["method"] == "modulating"
+    assert friction["method"] == "lock-in"
     assert friction["coulomb"]["value"] == pytest.approx(truth.coulomb, rel=0.01)
     assert friction["inertia"]["value"] == pytest.approx(truth.inertia, rel=0.01)
-    assert friction["dead_time"]["value"] == pytest.approx(truth.delay, rel=0.1)
-    assert friction["offset"]["value"] == pytest.approx(truth.load, abs=0.01 * truth.coulomb)
-    assert result["methods"]["modulating"]["periods"] < 15
-    assert "two-relay" not in result["methods"]
+    method = result["methods"]["lock-in"]
+    assert method["harmonics"]["3"] == pytest.approx(truth.coulomb, rel=0.05)
+    assert method["modulus"] == pytest.approx(abs(complex(method["real"], method["imaginary"])))
+
+
+def test_repeated_measurements_are_told_and_widen_the_interval(run: Identify) -> None:
+    result = run("virtual://bench?jitter=0.1", repeat=3)
+    repeats = result["experiment"]["repeats"]
+    assert len(repeats) == 3
+    coulomb = result["friction"]["coulomb"]
+    assert coulomb["value"] == pytest.approx(sum(repeats) / 3)
+    assert coulomb["low"] <= min(repeats)
+    assert coulomb["high"] >= max(repeats)
+
+
+def test_a_filter_in_the_position_signal_is_undone_when_it_is_told(run: Identify) -> None:
+    """The thesis' motor behind its filter 20/(s + 20) (4.10)."""
+    link = "virtual://thesis-motor?output_filter=20"
+    told = run(link, output_filter=20.0)["friction"]
+    truth = AXES["thesis-motor"]
+    assert told["coulomb"]["value"] == pytest.approx(truth.coulomb, rel=0.02)
+    assert told["dead_time"]["value"] == pytest.approx(truth.delay, abs=1e-3)
 
 
 def test_modulating_functions_make_the_critical_point_exact(run: Identify) -> None:
@@ -82,12 +165,13 @@ def test_modulating_functions_make_the_critical_point_exact(run: Identify) -> No
     assert point["phase_deg"] == pytest.approx(-180 + 1.8 - lag, abs=2)
 
 
-def test_all_reads_the_tests_of_the_thesis_by_both_methods(run: Identify) -> None:
+def test_all_runs_every_method(run: Identify) -> None:
     result = run("virtual://bench", method="all")
-    assert set(result["methods"]) == {"two-relay", "modulating"}
+    methods = result["methods"]
+    assert set(methods) == {"modulating", "lock-in", "two-relay", "two-relay-delay", "phase-locked"}
     assert result["friction"]["method"] == "modulating"
-    assert result["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.01)
-    assert result["methods"]["two-relay"]["coulomb"] == pytest.approx(0.1, rel=0.06)
+    for name, tolerance in (("modulating", 0.01), ("lock-in", 0.01), ("two-relay", 0.06)):
+        assert methods[name]["coulomb"] == pytest.approx(0.1, rel=tolerance)
     written = {item["parameter"] for item in result["compensation"]}
     assert "viscous_gain" in written, "viscous friction is seen, so it is compensated"
 
@@ -98,13 +182,13 @@ def test_an_asymmetric_friction_shows_as_an_offset(run: Identify) -> None:
 
 
 def test_the_rule_of_the_thesis_can_be_chosen(run: Identify) -> None:
-    result = run("virtual://bench", solver="thesis")
+    result = run("virtual://bench", method="two-relay", solver="thesis")
     assert result["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.06)
     assert result["experiment"]["tests"] > 4, "it converges more slowly than the bracket"
 
 
 def test_the_naive_point_is_far_off_and_the_corrected_one_is_not(run: Identify) -> None:
-    result = run("virtual://bench")
+    result = run("virtual://bench", method="two-relay")
     points, period = result["critical_point"], result["critical_point"]["corrected"]["period"]
     w = 2 * 3.141592653589793 / period
     truth = 1 / abs(1e-3 * (1j * w) ** 2 + 2e-3 * 1j * w)

@@ -41,7 +41,9 @@ def test_a_wrong_link_says_what_is_wrong(text: str, message: str) -> None:
 
 
 def test_unknown_names_list_the_known_ones() -> None:
-    with pytest.raises(UnknownName, match="bench, emps, thesis-motor, vertical"):
+    with pytest.raises(
+        UnknownName, match=r"bench, emps, epos-antibacklash, .*thesis-motor, .*vertical"
+    ):
         axis_of("virtual://nosuch")
     with pytest.raises(UnknownName, match="coulomb"):
         axis_of("virtual://bench?friction=1")

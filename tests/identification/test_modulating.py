@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from commissioning.identification.modulating import Record, estimate, reversals
+from commissioning.identification.modulating import estimate
+from commissioning.identification.record import Record, reversals
 from drivers.virtual.plant import Plant, PlantParameters
 
 TRUTH = PlantParameters(1e-3, 2e-3, 0.1, 0.1)

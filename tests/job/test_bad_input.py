@@ -22,6 +22,7 @@ from tests.conftest import WIRES, Serve, Tworelay, real_time, running
 TRAVEL = ("--travel", "3", "--yes")
 # in real time, on test machines that stall
 PATIENT = ("--travel", "20", "--yes", "--cycle", "0.01", "--watchdog", "0.2")
+LONG = ("--method", "two-relay")  # so many periods that there is time to break in
 
 
 def one_line(done: subprocess.CompletedProcess[str], code: int, words: str) -> None:
@@ -260,7 +261,7 @@ def wait_for(process: subprocess.Popen[str], words: str) -> None:
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_ctrl_c_in_mid_test(serve: Serve, wire: str, number: signal.Signals, code: int) -> None:
     link = serve("bench", *WIRES[wire])[0]
-    with running("identify", link, *PATIENT) as process:
+    with running("identify", link, *PATIENT, *LONG) as process:
         wait_for(process, "staging")
         process.send_signal(number)
         _, errors = process.communicate(timeout=30)
@@ -325,7 +326,7 @@ def test_the_link_is_cut_in_mid_test(tworelay: Tworelay, serve: Serve) -> None:
     port = int(link.split(":")[2].split("?")[0])
     cable = Cable(port)
     through = link.replace(str(port), str(cable.port))
-    with running("identify", through, *PATIENT) as process:
+    with running("identify", through, *PATIENT, *LONG) as process:
         wait_for(process, "staging")
         cable.cut()
         _, errors = process.communicate(timeout=30)
@@ -377,7 +378,7 @@ def test_killed_in_mid_test_the_drive_stops_and_restore_completes(
     tworelay: Tworelay, serve: Serve, wire: str
 ) -> None:
     link = serve("bench", *WIRES[wire])[0]
-    with running("identify", link, *PATIENT) as process:
+    with running("identify", link, *PATIENT, *LONG) as process:
         wait_for(process, "staging")
         process.kill()
         process.wait(10)

@@ -36,7 +36,7 @@ def commission(
 
     restored = tworelay("restore", result["run"])
     assert restored.returncode == 0, restored.stderr
-    assert "restored coulomb_negative, coulomb_positive" in restored.stdout
+    assert "coulomb_negative, coulomb_positive" in restored.stdout
     drive = open_drive(axis_of(link))
     assert drive.read_raw("coulomb_positive") == 0
     drive.close()
@@ -48,12 +48,13 @@ def check(result: dict[str, Any], tolerance: float) -> None:
     assert coulomb["value"] == pytest.approx(0.1, rel=tolerance)
     assert coulomb["unit"] == "N.m"
     assert coulomb["low"] < coulomb["value"] < coulomb["high"]
-    assert result["friction"]["viscous"]["value"] is None
+    assert result["friction"]["method"] == "modulating"
+    assert result["friction"]["inertia"]["value"] == pytest.approx(1e-3, rel=tolerance)
 
 
 @pytest.mark.parametrize("cycle", [0.002, 0.005])
 def test_in_process(tworelay: Tworelay, cycle: float) -> None:
-    check(commission(tworelay, "virtual://bench", "--cycle", str(cycle)), 0.06)
+    check(commission(tworelay, "virtual://bench", "--cycle", str(cycle)), 0.01)
 
 
 @pytest.mark.parametrize("cycle", [0.002, 0.005])
@@ -62,10 +63,10 @@ def test_over_a_wire_step_by_step(
 ) -> None:
     link = serve("bench", *WIRES[wire], "--clock", "step")[0]
     result = commission(tworelay, link, "--cycle", str(cycle))
-    check(result, 0.08)
+    check(result, 0.01)
     in_process = commission(tworelay, "virtual://bench", "--cycle", str(cycle))
     assert result["friction"]["coulomb"]["value"] == pytest.approx(
-        in_process["friction"]["coulomb"]["value"], rel=0.05
+        in_process["friction"]["coulomb"]["value"], rel=0.005
     )
 
 

@@ -47,8 +47,12 @@ def test_the_readme_s_commands_work_in_their_order(tworelay: Tworelay) -> None:
 def test_results_keep_to_the_json_schema(tworelay: Tworelay) -> None:
     good = tworelay("identify", "virtual://bench", "--yes", "--json", "-")
     jsonschema.validate(json.loads(good.stdout), SCHEMA)
-    fine = tworelay("identify", "virtual://bench", "--method", "modulating", "--yes", "--json", "-")
-    jsonschema.validate(json.loads(fine.stdout), SCHEMA)
+    every = tworelay("identify", "virtual://bench", "--method", "all", "--yes", "--json", "-")
+    result = json.loads(every.stdout)
+    jsonschema.validate(result, SCHEMA)
+    assert set(result["methods"]) == {
+        "modulating", "lock-in", "two-relay", "two-relay-delay", "phase-locked",
+    }  # fmt: skip
     page = tworelay("report", "last")
     assert "Modulating functions" in Path(page.stdout.strip()).read_text("utf-8")
     linear = tworelay("identify", "virtual://emps", "--yes", "--json", "-")
@@ -90,13 +94,14 @@ def test_the_report_is_one_file_that_needs_nothing_else(tworelay: Tworelay) -> N
     text = " ".join(" ".join(page.text).split())
     for words in (
         "N·m",
-        "relay test 1",
+        "oscillator",
+        "Friction against speed",
         "What was written",
         "written, read back",
         "coulomb_positive",
     ):
         assert words in text, words
-    assert path.read_text("utf-8").count("<svg") == 4
+    assert path.read_text("utf-8").count("<svg") == 5
 
 
 def test_what_comes_from_outside_is_escaped_in_the_report(

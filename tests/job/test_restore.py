@@ -142,4 +142,4 @@ def test_an_exported_run_is_a_run(
     assert tworelay("report", folder, environment=elsewhere).returncode == 0
     restored = tworelay("restore", folder, environment=elsewhere)
     assert restored.returncode == 0, restored.stderr
-    assert "restored coulomb_negative, coulomb_positive" in restored.stdout
+    assert "coulomb_negative, coulomb_positive" in restored.stdout

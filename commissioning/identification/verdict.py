@@ -1,0 +1,314 @@
+"""How far a measurement can be trusted, and why not further.
+
+Each reason has a weight: a note changes nothing, a doubt makes the result `usable`, a contradiction
+makes it `rejected`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from commissioning.identification.lock_in import LockIn
+from commissioning.identification.modulating import ModulatingEstimate
+from commissioning.identification.record import Record, reversals
+
+__all__ = [
+    "Reason",
+    "Units",
+    "Weight",
+    "agreement",
+    "dwell_share",
+    "of_lock_in",
+    "of_modulating",
+    "of_torque",
+    "torque_gain",
+    "verdict",
+    "within_short",
+]
+
+Array = NDArray[np.float64]
+
+# a short record is enough when these hold (method.md 3a)
+_HALVES, _WIDTHS, _LEFT = 0.02, 0.05, 0.012
+_BEYOND_NOISE = 1.5  # times what the resolution leaves
+
+_REJECTED_LEFT = 0.12  # of the torque unexplained
+_REJECTED_WIDTH = 0.3  # half of f's interval, of f
+_COARSE, _TOO_COARSE = 150, 30  # counts of half-swing
+_DWELL, _MUCH_DWELL = 0.02, 0.15  # of the time
+_TORQUE_OFF = 0.08  # of the command
+_CONDITION = 200.0
+_HARMONIC = 0.05  # difference of the inertia at the harmonics
+_FEW_PERIODS = 6.0
+_AGREE = 0.03  # of f
+
+
+class Weight(IntEnum):
+    """What a reason does to the verdict."""
+
+    NOTE = 0
+    DOUBT = 1
+    CONTRADICTION = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """One line for people, and its weight."""
+
+    weight: Weight
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """Names of the units for messages."""
+
+    position: str = "rad"
+    effort: str = "N.m"
+
+
+def verdict(reasons: Sequence[Reason]) -> str:
+    """`good`, `usable` or `rejected`."""
+    worst = max((reason.weight for reason in reasons), default=Weight.NOTE)
+    return ("good", "usable", "rejected")[worst]
+
+
+def within_short(found: ModulatingEstimate) -> bool:
+    """Whether a dozen periods are enough: one number, whichever part and frequency it is taken from."""
+    return (
+        not found.law.rungs
+        and found.rigid_residual <= max(_LEFT, _BEYOND_NOISE * found.noise)
+        and found.halves <= max(_HALVES, found.noise)
+        and found.widths <= max(_WIDTHS, 2 * found.noise)
+        and found.coulomb.value > 0
+    )
+
+
+def of_modulating(found: ModulatingEstimate, units: Units) -> list[Reason]:
+    """Reasons that the fit itself gives."""
+    reasons: list[Reason] = []
+    e, p = units.effort, units.position
+
+    def add(weight: Weight, text: str) -> None:
+        reasons.append(Reason(weight, text))
+
+    f, law = found.coulomb, found.law
+    left = found.held_out
+    if not f.value > 0 or not found.inertia.value > 0:
+        add(
+            Weight.CONTRADICTION,
+            f"the fit gives a friction of {f.value:.3g} {e} and an inertia of "
+            f"{found.inertia.value:.3g}: no axis moves like this; is the torque's sign or unit wrong?",
+        )
+        return reasons
+    if left > max(_REJECTED_LEFT, 3 * found.noise):
+        add(
+            Weight.CONTRADICTION,
+            f"the equation of motion leaves {100 * left:.0f} % of the torque unexplained: the axis is "
+            "elastic or has play, is moved by something else, or torque and position do not belong "
+            "together",
+        )
+    elif left > max(_LEFT, _BEYOND_NOISE * found.noise):
+        add(
+            Weight.DOUBT,
+            f"{100 * left:.1f} % of the torque is unexplained: "
+            + (
+                "wide and narrow windows differ, so the axis is elastic or has play"
+                if found.widths > _WIDTHS
+                else "the friction is not Coulomb-like, or the axis is elastic"
+            ),
+        )
+    if f.half_width > _REJECTED_WIDTH:
+        add(
+            Weight.CONTRADICTION,
+            f"the interval of the friction, {f.low:.3g} … {f.high:.3g} {e}, is too wide to be of use: "
+            "give the axis more torque, travel or periods",
+        )
+    if found.halves > max(_HALVES, 2 * found.noise):
+        add(
+            Weight.DOUBT,
+            f"odd and even periods differ by {100 * found.halves:.1f} % in friction: the axis changes "
+            "while it is measured",
+        )
+    if found.condition > _CONDITION:
+        add(
+            Weight.DOUBT,
+            f"the record hardly tells Coulomb from viscous friction (condition {found.condition:.0f}): "
+            "two oscillations of clearly different torque are needed",
+        )
+    if found.periods < _FEW_PERIODS:
+        add(Weight.DOUBT, f"only {found.periods:.1f} periods; {_FEW_PERIODS:g} are few enough")
+    if found.noise > 0.03:
+        add(
+            Weight.DOUBT,
+            f"the position is coarse for this swing: its resolution alone hides "
+            f"{100 * found.noise:.0f} % of the torque; a longer period or more travel helps",
+        )
+    if law.stribeck is not None:
+        add(
+            Weight.NOTE,
+            f"Stribeck effect: friction falls from about {found.low_speed:.3g} {e} at rest to "
+            f"{f.value:.3g} {e} beyond {law.stribeck:.3g} {p}/s"
+            + (
+                "; below that speed the tests were too fast to say more"
+                if found.peak_speed > 15 * law.stribeck
+                else ""
+            ),
+        )
+    if law.soft is not None:
+        add(
+            Weight.DOUBT,
+            f"soft friction: it rises over {law.soft:.3g} {p}/s to its level instead of switching with "
+            "the sign; compensation by the sign alone does too much at low speed",
+        )
+    if law.load:
+        c = float(found.coefficients[law.load_term])
+        add(
+            Weight.NOTE,
+            f"friction grows with the torque, by {100 * c:.1f} % of it: the level is that without load",
+        )
+    if law.position is not None:
+        size = float(np.hypot(*found.coefficients[-2:]))
+        add(
+            Weight.DOUBT,
+            f"position-dependent torque of ±{size:.3g} {e} with a pitch of {law.position:.4g} {p}: cogging "
+            "or the wobble of a screw or gear",
+        )
+    return reasons
+
+
+def of_lock_in(found: LockIn, resolution: float, units: Units) -> list[Reason]:
+    """Reasons that the exact balance gives."""
+    reasons = []
+    f = found.coulomb.value
+    third = found.harmonics[1] / f - 1 if f else 0.0
+    noise = 40 * resolution / min(found.half_swing)  # harmonic 3 is a ninth or less of the first
+    if abs(third) > max(0.08, noise):
+        reasons.append(
+            Reason(
+                Weight.DOUBT,
+                f"harmonic 3 of the balance gives a friction {100 * third:+.0f} % from the "
+                "fundamental's: the axis is elastic, or its friction is not Coulomb-like",
+            )
+        )
+    if f and found.coulomb.half_width > _REJECTED_WIDTH:
+        reasons.append(
+            Reason(
+                Weight.CONTRADICTION,
+                f"the balance gives {found.coulomb.low:.3g} … {found.coulomb.high:.3g} {units.effort}: "
+                "its periods differ too much to say more",
+            )
+        )
+    if sum(found.rejected):
+        reasons.append(
+            Reason(
+                Weight.NOTE,
+                f"{sum(found.rejected)} of {sum(found.periods) + sum(found.rejected)} periods were "
+                "left out: they do not obey the balance of the others (late or lost cycles)",
+            )
+        )
+    return reasons
+
+
+def agreement(fast: ModulatingEstimate, exact: LockIn, units: Units) -> Reason:
+    """Modulating functions against the exact balance."""
+    a, b = fast.coulomb, exact.coulomb
+    apart = abs(a.value - b.value)
+    allowed = max((a.high - a.low + b.high - b.low) / 2, _AGREE * abs(a.value))
+    told = (
+        f"modulating functions give {a.value:.4g} {units.effort}, the exact balance "
+        f"{b.value:.4g} {units.effort}"
+    )
+    if apart <= allowed:
+        return Reason(Weight.NOTE, f"{told}: they agree")
+    if fast.law.rungs:
+        return Reason(
+            Weight.NOTE,
+            f"{told}: the balance means over the torques and speeds of its tests, the law above says how "
+            "friction goes with them",
+        )
+    return Reason(
+        Weight.DOUBT, f"{told}: they disagree, so the axis is not rigid with Coulomb friction"
+    )
+
+
+def of_torque(
+    gain: float | None, dwell: float, half_swing: float, resolution: float
+) -> list[Reason]:
+    """Reasons that the raw record gives: torque followed, rests, counts (half-swing in counts)."""
+    reasons = []
+    if gain is not None and abs(gain - 1) > _TORQUE_OFF:
+        weight = Weight.CONTRADICTION if abs(gain - 1) > 0.3 else Weight.DOUBT
+        reasons.append(
+            Reason(
+                weight,
+                f"the drive measures {100 * gain:.0f} % of the torque that is commanded: it limits, or "
+                "its torque scale is wrong",
+            )
+        )
+    if dwell > _DWELL:
+        weight = Weight.CONTRADICTION if dwell > _MUCH_DWELL else Weight.DOUBT
+        reasons.append(
+            Reason(
+                weight,
+                f"the axis rests at its reversals for {100 * dwell:.0f} % of the time: it sticks; "
+                "a larger torque (--max-torque) takes it through",
+            )
+        )
+    counts = half_swing / resolution if resolution else np.inf
+    if counts < _COARSE:
+        reasons.append(
+            Reason(
+                Weight.CONTRADICTION if counts < _TOO_COARSE else Weight.DOUBT,
+                f"the smaller oscillation has a half-swing of {counts:.0f} encoder counts; "
+                f"{_COARSE} are needed for a fine result: give more --travel",
+            )
+        )
+    return reasons
+
+
+def dwell_share(record: Record, inertia: float, coulomb: float) -> float:
+    """Share of the time that the axis rests at its reversals, beyond what turning takes."""
+    y, t = record.position, record.time
+    instants, _ = reversals(record)
+    if not len(instants) or not inertia > 0:
+        return 0.0
+    swing = record.command - np.median(record.command)
+    pull = max(float(np.quantile(np.abs(swing), 0.5)) - coulomb, 0.1 * coulomb)
+    reach = 1.5 * max(record.resolution, 1e-6 * float(np.ptp(y)))
+    step = float(np.median(np.diff(t)))
+    turning = 2 * np.sqrt(2 * reach * inertia / pull) + 3 * step
+    rested = 0.0
+    for at in np.searchsorted(t, instants):
+        k = min(max(int(at), 0), len(y) - 1)
+        first = last = k
+        while first > 0 and abs(y[first - 1] - y[k]) <= reach:
+            first -= 1
+        while last < len(y) - 1 and abs(y[last + 1] - y[k]) <= reach:
+            last += 1
+        rested += max(t[last] - t[first] - turning, 0.0)
+    return float(rested / (t[-1] - t[0]))
+
+
+def torque_gain(measured: Array, command: Array) -> float | None:
+    """Measured torque over commanded, at the lag that fits best; None where nothing is measured.
+
+    Parameters
+    ----------
+    measured, command : (n,) N.m or N, one a cycle
+    """
+    if not np.isfinite(measured).all() or len(measured) < 50:
+        return None
+    m, c = measured - measured.mean(), command - command.mean()
+    gains, misses = [], []
+    for lag in range(min(40, len(c) // 8)):
+        a, b = m[lag:], c[: len(c) - lag]
+        gain = float(a @ b) / max(float(b @ b), 1e-300)
+        gains.append(gain)
+        misses.append(float(np.mean((a - gain * b) ** 2)))
+    return gains[int(np.argmin(misses))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import floor, log10
 from typing import Any
 
 from commissioning.cli.terminal import Screen
@@ -22,6 +23,14 @@ def number(value: float | None, unit: str = "") -> str:
     return "–" if value is None else f"{value:.4g} {unit}".rstrip()
 
 
+def _interval(low: float, high: float) -> str:
+    """Both ends, with as many digits as tell them apart."""
+    largest = max(abs(low), abs(high), 1e-300)
+    width = max(high - low, 1e-6 * largest)
+    digits = min(max(2 - floor(log10(width / largest)), 3), 6)
+    return f"{low:.{digits}g} … {high:.{digits}g}"
+
+
 def _in_drive(item: dict[str, Any]) -> str:
     """A quantity as the drive counts it; shares of rated torque in per cent."""
     if item["raw"] is None:
@@ -40,7 +49,7 @@ def summary(result: dict[str, Any], screen: Screen) -> None:
         item = friction[key]
         if item["value"] is None:
             continue
-        interval = f"{item['low']:.3g} … {item['high']:.3g}"
+        interval = _interval(item["low"], item["high"])
         rows.append([name, number(item["value"], item["unit"]), interval, _in_drive(item)])
     screen.table(f"found by {friction['method']}", ["", "value", "interval", "drive's unit"], rows)
     points = result["critical_point"]

@@ -25,7 +25,13 @@ from numpy.typing import NDArray
 from commissioning.identification.estimate import Estimate
 from commissioning.identification.friction_laws import Law, Rung, curve
 from commissioning.identification.motion import Model, Motion
-from commissioning.identification.record import Kinematics, Record, kinematics, reversals
+from commissioning.identification.record import (
+    Kinematics,
+    Record,
+    kinematics,
+    rests,
+    reversals,
+)
 from commissioning.identification.signals import hat_moments
 
 __all__ = ["Fit", "ModulatingEstimate", "estimate", "refined_kinematics"]
@@ -34,11 +40,12 @@ Array = NDArray[np.float64]
 
 _WIDTHS = (0.5, 0.2)  # of the period
 _SHIFT = 0.1  # of a window's width
+_NARROWER, _FEW_SAMPLES = 0.4, 60  # each width of the last, down to this many samples
 _MEAN_WEIGHT = 0.375  # of sin⁴
 _NARROWEST = 6  # samples in a window
 _FEWEST_REVERSALS = 6
 _FEWEST_WINDOWS = 20
-_LONGEST_DELAY = 0.25  # of the period
+_LONGEST_DELAY, _LONGEST_LEAD = 0.25, 0.5  # of the period, and s
 _DELAYS = 12  # first guesses of the dead time
 _MOST_PASSES = 12
 _SETTLING_PASSES = 4  # of a motion whose model is known
@@ -129,13 +136,21 @@ class ModulatingEstimate:
         return curve(self.law, self.coefficients, self.viscous.value, speed)
 
 
-def estimate(record: Record, *, ladder: bool = True) -> ModulatingEstimate:
+def estimate(
+    record: Record, *, ladder: bool = True, any_motion: bool = False
+) -> ModulatingEstimate:
     """Fit the record; raises ValueError when it is too short.
 
     Two amplitudes are needed in the record to tell Coulomb from viscous friction. `ladder`: look for a
-    richer friction law where Coulomb friction leaves something unexplained.
+    richer friction law where Coulomb friction leaves something unexplained. `any_motion`: the record is
+    no oscillation; windows of many widths are used, none in which the axis rests.
     """
     fitter = _Fitter(record)
+    if any_motion:
+        samples = fitter.period / fitter.step
+        count = max(int(np.log(0.5 * samples / _FEW_SAMPLES) / np.log(1 / _NARROWER)) + 1, 2)
+        shares = tuple(float(x) for x in 0.5 * _NARROWER ** np.arange(count))
+        fitter = _Fitter(record, shares, rests(record))
     rigid = best = fitter.fit(Law())
     if ladder:
         best = _climb(fitter, rigid)
@@ -191,9 +206,18 @@ def _beside(law: Law) -> tuple[Rung, ...]:
 
 
 class _Fitter:
-    """Windows over one record, and the fits that were tried."""
+    """Windows over one record, and the fits that were tried.
 
-    def __init__(self, record: Record) -> None:
+    `shares`: widths of the windows as shares of the period; `at_rest`: (m, 2) begin and end of stretches
+    at rest, s, which no window may touch.
+    """
+
+    def __init__(
+        self,
+        record: Record,
+        shares: tuple[float, ...] = _WIDTHS,
+        at_rest: Array | None = None,
+    ) -> None:
         instants, begins = reversals(record)
         if len(instants) < _FEWEST_REVERSALS:
             raise ValueError(
@@ -205,7 +229,9 @@ class _Fitter:
         self._begin = (instants, begins)
         time = record.time
         self.step = float(np.median(np.diff(time)))
-        self._windows = _Windows(time, self.period, self.step)
+        self._windows = _Windows(
+            time, shares, self.period, self.step, np.zeros((0, 2)) if at_rest is None else at_rest
+        )
         if len(self._windows) < _FEWEST_WINDOWS:
             raise ValueError(
                 f"the record has room for {len(self._windows)} windows of half a period only"
@@ -288,6 +314,8 @@ class _Fitter:
             return None
         if fit.law.stribeck is not None and fit.coefficients[1] < 0:
             return None
+        if fit.law.position is not None and np.hypot(*fit.coefficients[-2:]) > fit.coefficients[0]:
+            return None
         if fit.law.load and fit.coefficients[fit.law.load_term] < 0:
             return None
         return fit
@@ -304,9 +332,10 @@ class _Fitter:
         angle = 2 * np.pi / swing * y[1:-1]
         middle = 0.5 * (time[2:] - time[:-2])
         gains = []
-        for number in waves:
+        for number in waves:  # wide windows see no waves
             turned = np.column_stack((np.cos(number * angle), np.sin(number * angle)))
-            gains.append(problem.explained_by(self._windows @ (turned * middle[:, None])))
+            columns = self._windows.narrow @ (turned * middle[:, None])
+            gains.append(problem.explained_by(columns, self._windows.is_narrow))
         best = float(waves[int(np.argmax(gains))])
         return swing / np.array([best + 0.4, best, max(best - 0.4, 0.6)])
 
@@ -386,7 +415,7 @@ class _Fitter:
         swing = float(np.abs(self.record.command - self.record.command.mean()).mean())
         left = swing * fit.residual  # torque that no term explains, N.m or N
         halves, widths = (abs(a - b) for a, b in (fit.halves, fit.widths))
-        if _WIDTHS[-1] * self.period < 2 * _NARROWEST * self.step:
+        if self._windows.width.min() < 2 * _NARROWEST * self.step:
             widths = 0.0  # too few samples in the narrow windows to say anything
         model = fit.model
         return ModulatingEstimate(
@@ -437,18 +466,24 @@ class _Windows:
     ----------
     noise : (n,) what white noise of unit rms in the position makes in J = 1 times each row
     centre, width : (n,) s
-    is_wide : (n,) whether a row belongs to the widest windows
+    is_wide, is_narrow : (n,) whether a row belongs to the widest, to the narrowest windows
+    narrow : the rows of the narrowest alone
     """
 
-    def __init__(self, time: Array, period: float, step: float) -> None:
+    def __init__(
+        self, time: Array, shares: tuple[float, ...], period: float, step: float, rests: Array
+    ) -> None:
         from scipy.sparse import csr_array
 
         inner = time[1:-1]
         begins: list[Array] = []
         widths: list[Array] = []
-        for share in _WIDTHS:
+        lead = min(_LONGEST_DELAY * period, _LONGEST_LEAD)
+        for share in shares:
             width = max(share * period, _NARROWEST * step)
-            starts = np.arange(time[0] + _LONGEST_DELAY * period, time[-1] - width, _SHIFT * width)
+            starts = np.arange(time[0] + lead, time[-1] - width, _SHIFT * width)
+            for rest_begin, rest_end in rests:  # windows in which the axis rests tell nothing
+                starts = starts[(starts + width < rest_begin) | (starts > rest_end)]
             begins.append(starts)
             widths.append(np.full(len(starts), width))
         begin, width_of = np.concatenate(begins), np.concatenate(widths)
@@ -461,6 +496,8 @@ class _Windows:
         x = (inner[columns] - begin[rows]) / width_of[rows]
         phi = np.sin(np.pi * x) ** 4
         self._matrix = csr_array((phi, columns, pointers), shape=(len(begin), len(inner)))
+        self.is_narrow = width_of == (width_of.min() if len(width_of) else 0.0)
+        self.narrow = self._matrix[np.flatnonzero(self.is_narrow)]
         # rms of Σ φ_k·D_k for white noise in y: the norm of D^T·φ, from sin⁴'s second derivative
         mean_square = 4 * np.pi**4  # of φ'' for unit width
         self.noise = np.sqrt(mean_square * step / width_of**3)
@@ -504,11 +541,14 @@ class _Problem:
         rest = self._right - self._left[:, :-1] @ solution
         return float(np.linalg.norm(rest) / np.linalg.norm(self._right))
 
-    def explained_by(self, columns: Array) -> float:
-        """Share of the residual's square that further columns, (n, k) before weighting, take away."""
-        more = columns * self._weights[:, None]
-        a = self._left / self._scale
-        rest = self._right - self._left @ self.solution
+    def explained_by(self, columns: Array, rows: NDArray[np.bool_]) -> float:
+        """Share of the residual's square of some rows that further columns take away.
+
+        `columns` : (rows, k) before weighting
+        """
+        more = columns * self._weights[rows][:, None]
+        a = self._left[rows] / self._scale
+        rest = self._right[rows] - self._left[rows] @ self.solution
         more = more - a @ np.linalg.lstsq(a, more, rcond=None)[0]
         left = rest - more @ np.linalg.lstsq(more, rest, rcond=None)[0]
         return 1 - float(left @ left) / float(rest @ rest)

@@ -10,12 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from commissioning.identification.limit_cycle import reversal
 
-__all__ = ["Kinematics", "Record", "kinematics", "reversals", "unfiltered"]
+__all__ = ["Kinematics", "Record", "kinematics", "rests", "reversals", "unfiltered"]
 
 Array = NDArray[np.float64]
 
 _TURN_COUNTS = 4  # a reversal counts when the axis then moves by more than this many counts
 _FEW_SAMPLES = 30  # in half a period: below, a spline finds reversals better than parabolas
+_STILL, _STILL_SAMPLES = 0.02, 8  # s and samples within which an axis that moves leaves its place
 _TURN_SHARE = 0.02  # … and by this share of its whole swing
 
 
@@ -102,6 +103,24 @@ def kinematics(record: Record) -> Kinematics:
 
     instants, begins = reversals(record)
     return Kinematics(instants, begins, CubicSpline(record.time, record.position).derivative())
+
+
+def rests(record: Record) -> Array:
+    """Begin and end of the stretches in which the axis stands still, (m, 2) s.
+
+    Still: within two counts, or a millionth of the swing, for longer than 20 ms and eight samples.
+    """
+    t, y = record.time, record.position
+    near = max(2 * record.resolution, 1e-6 * float(np.ptp(y)))
+    step = float(np.median(np.diff(t)))
+    span = max(round(_STILL / step), _STILL_SAMPLES)
+    if len(y) <= span:
+        return np.zeros((0, 2))
+    windows = np.lib.stride_tricks.sliding_window_view(y, span)
+    still = np.ptp(windows, axis=1) <= near
+    change = np.flatnonzero(np.diff(np.concatenate(([0], still.astype(int), [0]))))
+    begins, ends = change[::2], np.minimum(change[1::2] + span - 2, len(t) - 1)
+    return np.column_stack((t[begins], t[ends]))
 
 
 def reversals(record: Record) -> tuple[Array, int]:

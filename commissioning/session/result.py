@@ -16,6 +16,7 @@ from commissioning.identification.limit_cycle import LimitCycle
 from commissioning.identification.lock_in import LockIn
 from commissioning.identification.modulating import ModulatingEstimate
 from commissioning.identification.phase_locked import PhaseLocked
+from commissioning.identification.steady import SteadyFit, SteadyPoint
 from commissioning.identification.two_relay import FrictionEstimate
 from commissioning.session.methods import Measured, Oscillation
 from drivers.scaling import Scaling
@@ -191,6 +192,26 @@ def modulating_json(estimate: ModulatingEstimate) -> dict[str, Any]:
             "curve": {"speed": speed.tolist(), "friction": estimate.curve(speed).tolist()},
         }
     )
+
+
+def steady_json(
+    estimate: SteadyFit, points: Sequence[SteadyPoint], fastest: float
+) -> dict[str, Any]:
+    """The friction curve from constant speeds."""
+    import numpy as np
+
+    speed = np.geomspace(0.005, 1, 40) * fastest
+    return {
+        "coulomb": estimate.coulomb.value,
+        "offset": estimate.offset.value,
+        "viscous": estimate.viscous.value,
+        "stribeck_level": estimate.stribeck_level,
+        "stribeck_speed": estimate.stribeck_speed,
+        "rms": estimate.rms,
+        "held_out": estimate.held_out,
+        "points": [{"speed": p.speed, "torque": p.torque, "error": p.error} for p in points],
+        "curve": {"speed": speed.tolist(), "friction": estimate.curve(speed).tolist()},
+    }
 
 
 def cycles_json(shown: Sequence[Oscillation]) -> list[dict[str, Any]]:

@@ -1,0 +1,69 @@
+"""tworelay analyze FILE."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from commissioning.cli.options import verbose
+
+__all__ = ["command"]
+
+
+@click.command("analyze")
+@click.argument("files", nargs=-1, required=True, metavar="FILE…", type=click.Path(path_type=Path))
+@click.option("--time", metavar="COL[:UNIT]", help="s, ms, us. Default: time_s.")
+@click.option(
+    "--position",
+    metavar="COL[:UNIT]",
+    help="rad, deg, rev, m, mm, um. Default: position_rad or position_m.",
+)
+@click.option("--velocity", metavar="COL[:UNIT]", help="rad/s, deg/s, rpm, m/s, mm/s.")
+@click.option(
+    "--torque",
+    metavar="COL[:SCALE UNIT]",
+    help="Nm, mNm, N, kN; a scale makes current or per cent a torque, and may be the name of a scalar of "
+    "a .mat file. Default: command_Nm, torque_Nm or force_N.",
+)
+@click.option("--steady", is_flag=True, help="Recordings at constant speeds, one or more a file.")
+@click.option(
+    "--method",
+    type=click.Choice(["auto", "modulating", "lock-in"]),
+    default="auto",
+    show_default=True,
+)
+@click.option(
+    "--json", "json_target", metavar="F", help="Result as JSON to F, '-' for standard output."
+)
+@verbose
+def command(
+    files: tuple[Path, ...],
+    time: str | None,
+    position: str | None,
+    velocity: str | None,
+    torque: str | None,
+    steady: bool,
+    method: str,
+    json_target: str | None,
+) -> None:
+    """Friction from a recording: CSV with a header, or .mat. Nothing is moved.
+
+    Two steady oscillations of one period are read by the exact harmonic balance and by modulating
+    functions, any other motion by the latter.
+    """
+    from commissioning.cli import show
+    from commissioning.cli.terminal import Screen, check_json, write_json
+    from commissioning.session.analyze import Rejected, analyze
+
+    check_json(json_target)
+    screen = Screen(json_target, yes=True)
+    columns = {"time": time, "position": position, "velocity": velocity, "torque": torque}
+    try:
+        with screen.working("analysing"):
+            result = analyze(files, columns, steady=steady, method=method, tell=screen.say)
+    except Rejected as error:
+        write_json(error.result, json_target)
+        raise
+    write_json(result, json_target)
+    show.summary(result, screen)

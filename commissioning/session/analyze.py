@@ -1,0 +1,260 @@
+"""The same mathematics on a recording of any tool."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from commissioning.identification.lock_in import LockIn, lock_in, phasors
+from commissioning.identification.modulating import (
+    ModulatingEstimate,
+    estimate,
+    refined_kinematics,
+)
+from commissioning.identification.oscillation import pair, steady_oscillations
+from commissioning.identification.record import Record, rests
+from commissioning.identification.steady import SteadyFit, SteadyPoint, fit, plateaus
+from commissioning.identification.verdict import (
+    Reason,
+    Units,
+    Weight,
+    agreement,
+    of_lock_in,
+    of_modulating,
+    verdict,
+)
+from commissioning.recording import Recording, column_of, read, table_of
+from commissioning.session.result import (
+    QUANTITIES,
+    balance_json,
+    blank,
+    estimate_json,
+    modulating_json,
+    steady_json,
+    units,
+)
+from profiles.axis import Axis, Mechanics
+from profiles.errors import MeasurementRejected, UsageError
+
+__all__ = ["Columns", "Rejected", "analyze"]
+
+Array = NDArray[np.float64]
+Columns = dict[str, str | None]  # quantity: COL:UNIT as the user gives it
+
+
+class Rejected(MeasurementRejected):
+    """A recording that shows no friction, with the result so far."""
+
+    def __init__(self, text: str, result: dict[str, Any]) -> None:
+        super().__init__(text)
+        self.result = result
+
+
+_DOMINATES = 0.7  # of the record: one oscillation that is all there is
+
+
+def analyze(
+    files: Sequence[Path],
+    columns: Columns,
+    *,
+    steady: bool,
+    method: str,
+    tell: Callable[[str], None],
+) -> dict[str, Any]:
+    """Result JSON of recordings.
+
+    Raises UsageError for what is no recording, Rejected for what shows no friction.
+    """
+    recordings = []
+    for path in files:
+        tell(f"reading {path}")
+        table = table_of(path)
+        named = {q: column_of(text, q, table.scalars) for q, text in columns.items()}
+        recordings.append(read(table, named))
+    linear = recordings[0].linear
+    if any(r.linear != linear for r in recordings):
+        raise UsageError("rotary and linear recordings do not go together")
+    axis = Axis(
+        name=files[0].stem,
+        mechanics=Mechanics(motion="linear" if linear else "rotary", feed=1.0 if linear else None),
+    )
+    result: dict[str, Any] = blank(axis, None, None, None)
+    first = recordings[0]
+    result["experiment"] = {
+        "periods": 0,
+        "duration": float(sum(r.time[-1] - r.time[0] for r in recordings)),
+        "cycle": float(np.median(np.diff(first.time))),
+        "late_share": _late_share(first.time),
+        "lost_share": 0.0,
+        "travel": 0.0 if first.position is None else float(np.ptp(first.position)),
+    }
+    try:
+        if steady:
+            _steady(result, recordings, axis)
+        elif len(recordings) > 1:
+            raise UsageError("several recordings go together with --steady only; give one")
+        else:
+            _motion(result, first, axis, method, tell)
+    except (ValueError, MeasurementRejected) as error:
+        result["status"] = "rejected"
+        if not result["quality"]["reasons"]:
+            result["quality"] = {"verdict": "rejected", "reasons": [str(error)]}
+        names = units(axis)
+        for key in QUANTITIES:
+            result["friction"][key] = estimate_json(None, names[key])
+        raise Rejected(f"{files[0]}: {error}", result) from None
+    result["status"] = "completed"
+    return result
+
+
+def _late_share(time: Array) -> float:
+    steps = np.diff(time)
+    return float(np.mean(steps > 1.5 * np.median(steps)))
+
+
+# -- constant speeds --------------------------------------------------------------------------------
+
+
+def _steady(result: dict[str, Any], recordings: list[Recording], axis: Axis) -> None:
+    points: list[SteadyPoint] = []
+    for recording in recordings:
+        velocity = recording.velocity
+        if velocity is None:
+            assert recording.position is not None
+            velocity = np.gradient(recording.position, recording.time)
+        points += plateaus(velocity, recording.torque)
+    found = fit(points)
+    names = units(axis)
+    result["friction"]["method"] = "steady"
+    for key in ("coulomb", "offset", "viscous"):
+        result["friction"][key] = estimate_json(getattr(found, key), names[key])
+    fastest = max(abs(point.speed) for point in points)
+    result["methods"]["steady"] = steady_json(found, points, fastest)
+    reasons = _steady_reasons(found, axis)
+    result["quality"] = {"verdict": verdict(reasons), "reasons": [r.text for r in reasons]}
+
+
+def _steady_reasons(found: SteadyFit, axis: Axis) -> list[Reason]:
+    reasons = []
+    if found.held_out > 0.05:
+        reasons.append(
+            Reason(
+                Weight.DOUBT,
+                f"speeds that were left out of the fit are met to {100 * found.held_out:.1f} % only",
+            )
+        )
+    if found.stribeck_speed is not None:
+        reasons.append(
+            Reason(
+                Weight.NOTE,
+                f"Stribeck effect: {found.stribeck_level:.3g} {axis.effort_unit} more at rest, gone "
+                f"beyond {found.stribeck_speed:.3g} {axis.position_unit}/s",
+            )
+        )
+    if found.viscous.value < 0:
+        reasons.append(
+            Reason(Weight.DOUBT, "friction falls with speed throughout: is the motor saturated?")
+        )
+    return reasons
+
+
+# -- any motion -------------------------------------------------------------------------------------
+
+
+def _motion(
+    result: dict[str, Any],
+    recording: Recording,
+    axis: Axis,
+    method: str,
+    tell: Callable[[str], None],
+) -> None:
+    record, reasons = _record(recording)
+    named = Units(axis.position_unit, axis.effort_unit)
+    kinematics = refined_kinematics(record)
+    oscillations = steady_oscillations(record, kinematics)
+    two = pair(oscillations)
+    names = units(axis)
+    exact: LockIn | None = None
+    fast: ModulatingEstimate | None = None
+    if two is not None and method != "modulating":
+        tell(f"two oscillations of {two[0].period * 1000:.4g} ms: exact harmonic balance")
+        first, second = (
+            phasors(record, kinematics, o.begin, two[0].period, o.periods) for o in two
+        )
+        exact = lock_in(first, second, record.resolution, result["experiment"]["cycle"])
+        result["methods"]["lock-in"] = balance_json(exact)
+    elif method == "lock-in":
+        raise MeasurementRejected(
+            f"the exact balance needs two steady oscillations of one period and different swing; the "
+            f"recording has {len(oscillations)} steady stretches. Use --method modulating"
+        )
+    if method != "lock-in":
+        _refuse_one_oscillation(record, oscillations, axis)
+        tell("modulating functions")
+        fast = estimate(record, any_motion=two is None)
+        result["methods"]["modulating"] = modulating_json(fast)
+        reasons += of_modulating(fast, named)
+    if exact is not None:
+        reasons += of_lock_in(exact, record.resolution, named)
+        if fast is not None:
+            reasons.append(agreement(fast, exact, named))
+    found = fast or exact
+    assert found is not None
+    result["experiment"]["periods"] = round(
+        fast.periods if fast else sum(exact.periods) if exact else 0
+    )
+    result["friction"]["method"] = "modulating" if fast else "lock-in"
+    for key in QUANTITIES:
+        result["friction"][key] = estimate_json(getattr(found, key), names[key])
+    result["quality"] = {
+        "verdict": verdict(reasons),
+        "reasons": [r.text for r in sorted(reasons, key=lambda r: -r.weight)],
+    }
+    if result["quality"]["verdict"] == "rejected":
+        worst = [r.text for r in reasons if r.weight is Weight.CONTRADICTION]
+        raise MeasurementRejected("; ".join(worst))
+
+
+def _record(recording: Recording) -> tuple[Record, list[Reason]]:
+    reasons = []
+    position = recording.position
+    if position is None:
+        velocity = recording.velocity
+        assert velocity is not None
+        pieces = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(recording.time)
+        position = np.concatenate(([0.0], np.cumsum(pieces)))
+        reasons.append(
+            Reason(Weight.DOUBT, "the position is the integral of the velocity that was recorded")
+        )
+    steps = np.abs(np.diff(position))
+    moving = steps[steps > 1e-9 * float(np.ptp(position))]
+    resolution = float(np.quantile(moving, 0.01)) if len(moving) else 0.0
+    record = Record.of(recording.time, position, recording.sent, recording.torque, resolution)
+    quiet = rests(record)
+    if len(quiet):
+        share = float((quiet[:, 1] - quiet[:, 0]).sum() / (record.time[-1] - record.time[0]))
+        reasons.append(
+            Reason(
+                Weight.NOTE, f"the axis rests for {100 * share:.0f} % of the time; that is left out"
+            )
+        )
+    return record, reasons
+
+
+def _refuse_one_oscillation(record: Record, oscillations: list[Any], axis: Axis) -> None:
+    duration = float(record.time[-1] - record.time[0])
+    covered = sum((o.periods + 1) * o.period for o in oscillations)
+    if not oscillations or covered < _DOMINATES * duration:
+        return
+    swings = [o.half_swing for o in oscillations]
+    if max(swings) > 1.1 * min(swings):
+        return
+    raise MeasurementRejected(
+        f"one oscillation only (half-swing {swings[0]:.3g} {axis.position_unit}, period "
+        f"{oscillations[0].period * 1000:.4g} ms): it cannot tell Coulomb from viscous friction; record "
+        "two of clearly different torque"
+    )

@@ -242,7 +242,7 @@ class _Fitter:
         )
         self._ones = self._windows @ (0.5 * (h[1:] + h[:-1]))
         swing = record.command - record.command.mean()
-        if not np.any(swing):
+        if not np.ptp(record.command):
             raise ValueError("the torque is constant: it excites nothing")
         self._typical = float(np.abs(swing).mean()) * _MEAN_WEIGHT * self._windows.width
         speeds = np.abs(np.diff(record.position) / h)

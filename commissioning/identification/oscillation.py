@@ -10,7 +10,7 @@ from commissioning.identification.record import Kinematics, Record
 
 __all__ = ["Steady", "pair", "steady_oscillations"]
 
-_SAME_PERIOD, _SAME_SWING = 0.02, 0.05  # of the mean, within one oscillation
+_SAME_PERIOD, _SAME_SWING = 0.03, 0.08  # of the mean: a sampled relay wanders by so much
 _FEWEST = 5  # periods
 _ONE_PERIOD = 0.006  # of it: two oscillations that count as of one period
 _APART = 1.15  # ratio of half-swings that tells two oscillations apart

@@ -54,7 +54,7 @@ class Rejected(MeasurementRejected):
         self.result = result
 
 
-_DOMINATES = 0.7  # of the record: one oscillation that is all there is
+_DOMINATES = 0.5  # of the record: one oscillation that is all there is
 
 
 def analyze(

@@ -12,7 +12,7 @@ the side then sticks, or turns. The rigid axis with Coulomb friction has its clo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, inf, pi, sqrt
+from math import cos, inf, log, pi, sqrt
 
 from drivers.virtual.friction import Dry, LuGre, Soft
 
@@ -21,6 +21,7 @@ __all__ = ["CompliantParameters", "CompliantPlant"]
 _LONGEST_STEP = 2e-4  # s
 _STEPS_A_RADIAN = 25  # of the fastest oscillation
 _SECANTS = 40
+_AFTER = 1e-9  # s after the instant of a breakaway, so that it has come
 _STILL = 1e-12  # of a step: a reversal is found to this share
 
 
@@ -161,6 +162,8 @@ class CompliantPlant:
     def _longest(self, command: float) -> float:
         """Step that the friction law allows here, s."""
         step, s = self._step, self._state
+        if self._dry is not None and self._way.motor == 0 and self.parameters.lag:
+            step = min(step, self._until_breakaway(command))
         law = self.parameters.friction
         if isinstance(law, LuGre):
             rate = law.stiffness * abs(s.v1) / law.coulomb
@@ -173,6 +176,23 @@ class CompliantPlant:
         if above > 0 and acceleration > 0:  # up to where the law bends
             fine = max(fine, above / acceleration)
         return min(step, fine)
+
+    def _until_breakaway(self, command: float) -> float:
+        """Time until the lagging torque reaches the level that holds a resting motor, s."""
+        s, lag = self._state, self.parameters.lag
+        up, down = self._holding(s)
+        beside = s.torque - self._pull(s)
+        threshold = beside + (up if command > s.torque else -down)
+        if (threshold - s.torque) * (command - threshold) <= 0:
+            return inf
+        return lag * log((command - s.torque) / (command - threshold)) + _AFTER
+
+    def _holding(self, s: _State) -> tuple[float, float]:
+        """Torques up and down that a resting motor withstands."""
+        p = self.parameters
+        assert self._dry is not None
+        level, extra = self._dry.breakaway, p.load_friction * abs(s.torque - p.load)
+        return (1 + p.asymmetry) * level + extra, (1 - p.asymmetry) * level + extra
 
     def _advance_once(self, step: float, command: float) -> float:
         """Take one step, or the part of it up to a reversal; return the time."""
@@ -227,8 +247,7 @@ class CompliantPlant:
         p, s, way = self.parameters, self._state, self._way
         if self._dry is not None and way.motor == 0:
             pull = self._pull(s)
-            level, extra = self._dry.breakaway, p.load_friction * abs(s.torque - p.load)
-            up, down = (1 + p.asymmetry) * level + extra, (1 - p.asymmetry) * level + extra
+            up, down = self._holding(s)
             way.motor = 1 if pull > up else -1 if pull < -down else 0
         if self._two and way.load == 0:
             pull, level = self._spring(s) - p.load, p.load_coulomb

@@ -15,13 +15,13 @@ from typing import Any
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))
 
+from benchmarks.accuracy import accuracy  # noqa: E402
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
-from commissioning.session import measurement  # noqa: E402
+from commissioning.session import measurement, methods  # noqa: E402
 from commissioning.session.desk import Desk, Options  # noqa: E402
 from drivers.link import axis_of, open_drive  # noqa: E402
-from drivers.virtual.axes import AXES  # noqa: E402
 from profiles.schema import Mode  # noqa: E402
 
 WIRES = {
@@ -29,11 +29,10 @@ WIRES = {
     "socketcand": ("--socketcand", "127.0.0.1:0"),
     "slcan pty": ("--slcan", "pty"),
 }
-CYCLES = (0.001, 0.002, 0.004, 0.005, 0.010)
 
 
 def measure(
-    link: str, cycle: float, travel: float | None = None, method: str = "two-relay"
+    link: str, cycle: float, travel: float | None = None, method: str = "auto"
 ) -> dict[str, Any]:
     with Journal(Path(os.environ["TWORELAY_HOME"])) as journal, Interruption() as interruption:
         desk = Desk(journal, interruption, lambda text: None, lambda question, word: True)
@@ -49,66 +48,36 @@ def serve(*arguments: str) -> tuple[subprocess.Popen[str], str]:
 
 
 def error_of(result: dict[str, Any], truth: float) -> str:
-    return f"{100 * (result['friction']['coulomb']['value'] / truth - 1):+.1f} %"
+    return f"{100 * (result['friction']['coulomb']['value'] / truth - 1):+.2f} %"
 
 
-def row(name: str, method: str) -> str:
-    """Errors of a virtual axis in process, one cell a cycle time."""
-    axis, cells = AXES[name], []
-    for cycle in CYCLES:
-        try:
-            result = measure(f"virtual://{name}", cycle, method=method)
-        except session.Failure as failure:
-            cells.append(f"– ({failure.error.exit_code})")
-            continue
-        if method == "two-relay":
-            cells.append(error_of(result, axis.coulomb))
-        else:
-            friction = result["friction"]
-            f, j = friction["coulomb"]["value"], friction["inertia"]["value"]
-            cells.append(
-                f"{100 * (f / axis.coulomb - 1):+.2f} / {100 * (j / axis.inertia - 1):+.1f} %"
-            )
-    return f"| {name} | " + " | ".join(cells) + " |"
-
-
-def accuracy() -> list[str]:
-    """Error of |f| by (4.16) on every axis and over every wire."""
+def wires() -> list[str]:
+    """Error of f on `bench` over every wire, and in process beside it."""
+    cycles = (0.002, 0.005)
     lines = [
-        "# Error of the Coulomb friction",
+        "# The same axis over every wire",
         "",
-        "Written by `make bench`. Against the friction of the virtual axis; – (exit code) where the job was",
-        "refused. By `two-relay` (4.16):",
+        "Written by `make bench`: error of the Coulomb friction of `bench` by `auto` and by `two-relay`",
+        "(4.16), `clock=step`.",
         "",
-        "| in process | " + " | ".join(f"{cycle * 1000:g} ms" for cycle in CYCLES) + " |",
-        "| --- |" + " --- |" * len(CYCLES),
-    ]
-    lines += [row(name, "two-relay") for name in AXES]
-    lines += [
-        "",
-        "By `modulating`, on a dozen periods: error of f / of J.",
-        "",
-        "| in process | " + " | ".join(f"{cycle * 1000:g} ms" for cycle in CYCLES) + " |",
-        "| --- |" + " --- |" * len(CYCLES),
-    ]
-    lines += [row(name, "modulating") for name in AXES]
-    wire_cycles = (0.002, 0.005)
-    lines += [
-        "",
-        "| `bench` over a wire, `clock=step` | "
-        + " | ".join(f"{cycle * 1000:g} ms" for cycle in wire_cycles)
+        "| link | "
+        + " | ".join(f"auto, {c * 1000:g} ms | two-relay, {c * 1000:g} ms" for c in cycles)
         + " |",
-        "| --- |" + " --- |" * len(wire_cycles),
+        "| --- |" + " --- |" * (2 * len(cycles)),
     ]
-    for name, arguments in WIRES.items():
+    for name, arguments in {"in process": None, **WIRES}.items():
         cells = []
-        for cycle in wire_cycles:
-            server, link = serve(*arguments, "--clock", "step")
-            try:
-                cells.append(error_of(measure(link, cycle, 3.14), 0.1))
-            finally:
-                server.terminate()
-                server.wait()
+        for cycle in cycles:
+            for method in ("auto", "two-relay"):
+                if arguments is None:
+                    cells.append(error_of(measure("virtual://bench", cycle, None, method), 0.1))
+                    continue
+                server, link = serve(*arguments, "--clock", "step")
+                try:
+                    cells.append(error_of(measure(link, cycle, 3.14, method), 0.1))
+                finally:
+                    server.terminate()
+                    server.wait()
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     return lines
 
@@ -167,6 +136,7 @@ def speed() -> list[str]:
     whole = timed(lambda: measure(link, 0.001))
     duration = measure(link, 0.001)["experiment"]["duration"]
     tworelay = str(Path(sys.executable).parent / "tworelay")
+    analysis = _analysis(link)
     click_alone, help_time = side_by_side(
         command("-c", "import click"),
         lambda: subprocess.run([tworelay, "--help"], check=True, capture_output=True),
@@ -186,11 +156,29 @@ def speed() -> list[str]:
         "| --- | --- |",
         f"| simulated seconds a second, `virtual://bench` at 1 ms, whole loop | {statistics.median(rates):.0f} (best {max(rates):.0f}) |",
         f"| the job in process: {duration:.1f} simulated seconds in | {whole * 1000:.0f} ms |",
+        f"| the analysis of its record of a dozen periods | {analysis * 1000:.0f} ms |",
         f"| `tworelay identify virtual://bench --yes`, wall time | {identify_time:.2f} s |",
         f'| … over `python -c "import numpy, scipy.optimize"` | {identify_time / numbers:.1f} × |',
         f"| `tworelay --help` | {help_time * 1000:.0f} ms |",
         f'| … over `python -c "import click"` | {help_time / click_alone:.2f} × |',
     ]
+
+
+def _analysis(link: str) -> float:
+    """Time of the fit alone, s."""
+    original, spent = methods.estimate, []
+
+    def counted(*arguments: Any, **keywords: Any) -> Any:
+        begin = time.perf_counter()
+        found = original(*arguments, **keywords)
+        spent.append(time.perf_counter() - begin)
+        return found
+
+    methods.estimate = counted
+    for _ in range(5):
+        measure(link, 0.001)
+    methods.estimate = original
+    return min(spent)
 
 
 def links() -> list[str]:
@@ -229,7 +217,8 @@ def links() -> list[str]:
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         os.environ["TWORELAY_HOME"] = folder
-        for name, table in (("two_relay", accuracy), ("speed", speed), ("links", links)):
+        tables = {"wires": wires, "speed": speed, "links": links, "accuracy": accuracy}
+        for name, table in tables.items():
             lines = table()
             (HERE / f"{name}.md").write_text("\n".join(lines) + "\n", "utf-8")
             print("\n".join(lines), flush=True)

@@ -14,7 +14,7 @@ from commissioning.identification.limit_cycle import LimitCycle
 
 __all__ = ["FrictionEstimate", "feasible", "from_cycles", "solve", "solve_delay"]
 
-# The first harmonic stands for the whole wave. Over the axes of benchmarks/two_relay.md, with the
+# The first harmonic stands for the whole wave. Over the axes of benchmarks/accuracy.md, with the
 # relay settings that tworelay chooses, the value is off by this share of the truth.
 SYSTEMATIC_LOW, SYSTEMATIC_HIGH = -0.03, 0.06
 

@@ -175,6 +175,8 @@ def _auto(rig: Rig) -> Measured:
     record = rig.record(more.begin, more.end)
     fast = estimate(record)
     measured = _shown(more, record, periods=short.periods + more.periods)
+    # the first record's relay had more periods to come to its limit cycle
+    measured.relay, measured.shown = short.relay, (short.shown[0], measured.shown[1])
     measured.modulating = fast
     measured.reasons = of_modulating(fast, rig.units)
     measured.reasons.insert(

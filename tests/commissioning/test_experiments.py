@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import cos, pi, sin
 from typing import Any
 
 import pytest
 
+from commissioning.experiments.oscillator import Oscillator
 from commissioning.experiments.relay import Relay
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
@@ -261,3 +263,67 @@ def test_the_fractional_sample_has_the_area_of_both_torques() -> None:
     relay.switch(at(0.01, 0.065))
     assert relay.switch(at(0.02, 0.085)) == pytest.approx(0.2 + 0.75 - 0.25)
     assert relay.switch(at(0.03, 0.105)) == pytest.approx(0.2 - 1.0)
+
+
+def test_a_delayed_relay_switches_so_long_after_the_crossing() -> None:
+    relay = Relay(1.0, 0.025, 0.0, 0.01, switching="delay")
+    # upwards with 1 per s: the reference is crossed at 5 ms, so the torque changes at 30 ms
+    torques = [relay.switch(at(0.01 * n, -0.005 + 0.01 * n)) for n in range(5)]
+    assert torques[:3] == [1, 1, 1]
+    assert torques[3] == pytest.approx(-1.0), "due at the beginning of this cycle"
+    later = Relay(1.0, 0.027, 0.0, 0.01, switching="delay")
+    torques = [later.switch(at(0.01 * n, -0.005 + 0.01 * n)) for n in range(5)]
+    assert torques[3] == pytest.approx(0.2 - 0.8), "due at 32 ms: a fifth of the cycle to go"
+    assert torques[4] == -1
+
+
+def test_a_delay_is_a_hysteresis_of_a_sin_wt() -> None:
+    """(4.24) against (4.14): ε = A·sin ωτ."""
+    relay = Relay(1.0, 0.01, 0.0, 0.001, switching="delay")
+    assert relay.hysteresis_of(0.5, 0.12) == pytest.approx(0.5 * sin(2 * pi * 0.01 / 0.12))
+    assert Relay(1.0, 0.03, 0.0, 0.001).hysteresis_of(0.5, 0.12) == 0.03
+
+
+def oscillator(**options: Any) -> Oscillator:
+    arguments: dict[str, Any] = {"gain": 1e9, "cycle": 0.01, "most": 5.0} | options
+    return Oscillator(1.0, 0.2, 0.0, 0.3, **arguments)
+
+
+def test_an_oscillator_is_a_square_wave_about_its_bias_with_whole_half_periods() -> None:
+    wave = oscillator()
+    torques = [wave.torque(at(0.01 * n, 0.0)) for n in range(40)]
+    assert torques[:10] == pytest.approx([1.3] * 10)
+    assert torques[10:20] == pytest.approx([-0.7] * 10)
+    assert torques[20:40] == pytest.approx(torques[:20])
+
+
+def test_an_oscillator_that_is_late_keeps_its_phase_and_gives_the_mean_of_the_cycle() -> None:
+    wave = oscillator()
+    wave.torque(at(0.0, 0.0))
+    # at 93 ms seven of the next ten are of the positive half
+    assert wave.torque(at(0.093, 0.0)) == pytest.approx(0.3 + 0.7 - 0.3)
+    assert wave.torque(at(0.113, 0.0)) == pytest.approx(0.3 - 1.0)
+    sine = oscillator(wave="sine")
+    sine.torque(at(0.0, 0.0))
+    mean = (cos(2 * pi * 0.2) - cos(2 * pi * 0.25)) / (2 * pi * 0.05)
+    assert sine.torque(at(0.04, 0.0)) == pytest.approx(0.3 + mean)
+
+
+def test_the_centring_is_a_pd_loop_a_sixth_as_fast_and_never_above_the_limit() -> None:
+    """Crossover ω/6, damping 0.7, about the inertia 1/(|G|·ω²) that the axis shows."""
+    w, gain = 2 * pi / 0.2, 0.5
+    wave = oscillator(gain=gain)
+    first = wave.torque(at(0.0, 0.1))
+    inertia = 1 / (gain * w * w)
+    assert first == pytest.approx(1.3 - inertia * (w / 6) ** 2 * 0.1)
+    second = wave.torque(at(0.01, 0.12))
+    damping = 2 * 0.7 * w / 6 * inertia * 2.0
+    assert second == pytest.approx(1.3 - inertia * (w / 6) ** 2 * 0.12 - damping)
+    assert wave.torque(at(0.02, -1e4)) == pytest.approx(0.3 + 5.0)
+
+
+def test_the_command_line_and_the_session_know_the_same_methods() -> None:
+    from commissioning.cli.terminal import METHODS as OFFERED
+    from commissioning.session.methods import METHODS
+
+    assert OFFERED == METHODS

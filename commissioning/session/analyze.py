@@ -25,7 +25,6 @@ from commissioning.identification.verdict import (
     agreement,
     of_lock_in,
     of_modulating,
-    verdict,
 )
 from commissioning.recording import Recording, column_of, read, table_of
 from commissioning.session.result import (
@@ -33,6 +32,7 @@ from commissioning.session.result import (
     balance_json,
     blank,
     estimate_json,
+    judge,
     modulating_json,
     steady_json,
     units,
@@ -134,8 +134,7 @@ def _steady(result: dict[str, Any], recordings: list[Recording], axis: Axis) -> 
         result["friction"][key] = estimate_json(getattr(found, key), names[key])
     fastest = max(abs(point.speed) for point in points)
     result["methods"]["steady"] = steady_json(found, points, fastest)
-    reasons = _steady_reasons(found, axis)
-    result["quality"] = {"verdict": verdict(reasons), "reasons": [r.text for r in reasons]}
+    judge(result, _steady_reasons(found, axis))
 
 
 def _steady_reasons(found: SteadyFit, axis: Axis) -> list[Reason]:
@@ -210,13 +209,7 @@ def _motion(
     result["friction"]["method"] = "modulating" if fast else "lock-in"
     for key in QUANTITIES:
         result["friction"][key] = estimate_json(getattr(found, key), names[key])
-    result["quality"] = {
-        "verdict": verdict(reasons),
-        "reasons": [r.text for r in sorted(reasons, key=lambda r: -r.weight)],
-    }
-    if result["quality"]["verdict"] == "rejected":
-        worst = [r.text for r in reasons if r.weight is Weight.CONTRADICTION]
-        raise MeasurementRejected("; ".join(worst))
+    judge(result, reasons)
 
 
 def _record(recording: Recording) -> tuple[Record, list[Reason]]:

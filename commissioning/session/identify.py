@@ -24,7 +24,6 @@ from commissioning.identification.verdict import (
     dwell_share,
     of_torque,
     torque_gain,
-    verdict,
 )
 from commissioning.runner import Recorder
 from commissioning.runs import RunFolder, Samples
@@ -44,12 +43,13 @@ from commissioning.session.result import (
     critical_points,
     cycles_json,
     friction_json,
+    judge,
     methods_json,
 )
 from commissioning.settings import Settings
 from drivers.drive import Drive
 from profiles.axis import Axis
-from profiles.errors import MeasurementRejected, TwoRelayError, WriteFailed
+from profiles.errors import TwoRelayError, WriteFailed
 from profiles.library import digest, source_text
 from profiles.schema import CompensationLaw
 
@@ -213,13 +213,7 @@ def _fill(
         },
     }
     reasons = [*measured.reasons, *_reasons(measured, job, drive.cycle, options.method)]
-    result["quality"] = {
-        "verdict": verdict(reasons),
-        "reasons": [r.text for r in sorted(reasons, key=lambda r: -r.weight)],
-    }
-    if result["quality"]["verdict"] == "rejected":
-        worst = [r.text for r in reasons if r.weight is Weight.CONTRADICTION]
-        raise MeasurementRejected("; ".join(worst))
+    judge(result, reasons)
 
 
 def _spread(values: list[float]) -> Estimate | None:

@@ -18,9 +18,11 @@ from commissioning.identification.modulating import ModulatingEstimate
 from commissioning.identification.phase_locked import PhaseLocked
 from commissioning.identification.steady import SteadyFit, SteadyPoint
 from commissioning.identification.two_relay import FrictionEstimate
+from commissioning.identification.verdict import Reason, Weight, verdict
 from commissioning.session.methods import Measured, Oscillation
 from drivers.scaling import Scaling
 from profiles.axis import Axis
+from profiles.errors import MeasurementRejected
 from profiles.library import digest
 from profiles.schema import Identity, Profile
 
@@ -84,6 +86,15 @@ def estimate_json(
         "raw": raw,
         "raw_unit": raw_unit,
     }
+
+
+def judge(result: dict[str, Any], reasons: Sequence[Reason]) -> None:
+    """Put the verdict into `result`, weightiest reason first; raises MeasurementRejected."""
+    ordered = sorted(reasons, key=lambda reason: -reason.weight)
+    result["quality"] = {"verdict": verdict(ordered), "reasons": [r.text for r in ordered]}
+    if result["quality"]["verdict"] == "rejected":
+        worst = [r.text for r in ordered if r.weight is Weight.CONTRADICTION]
+        raise MeasurementRejected("; ".join(worst))
 
 
 def friction_json(

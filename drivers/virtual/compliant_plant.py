@@ -21,7 +21,8 @@ __all__ = ["CompliantParameters", "CompliantPlant"]
 _LONGEST_STEP = 2e-4  # s
 _STEPS_A_RADIAN = 25  # of the fastest oscillation
 _SECANTS = 40
-_AFTER = 1e-9  # s after the instant of a breakaway, so that it has come
+_HALVINGS = 12
+_AFTER = 1e-3  # of the lag, after the instant of a breakaway: more than a step is wrong by
 _STILL = 1e-12  # of a step: a reversal is found to this share
 
 
@@ -185,7 +186,7 @@ class CompliantPlant:
         threshold = beside + (up if command > s.torque else -down)
         if (threshold - s.torque) * (command - threshold) <= 0:
             return inf
-        return lag * log((command - s.torque) / (command - threshold)) + _AFTER
+        return lag * log((command - s.torque) / (command - threshold)) + _AFTER * lag
 
     def _holding(self, s: _State) -> tuple[float, float]:
         """Torques up and down that a resting motor withstands."""
@@ -204,6 +205,8 @@ class CompliantPlant:
         if not crossed:
             self._state = end
             return step
+        if self._speeds(begin, end, crossed)[0] == 0.0:
+            return self._barely(begin, step, command, crossed)
         low, high, at_low, at_high = 0.0, step, *self._speeds(begin, end, crossed)
         time, side = step, 0
         for _ in range(_SECANTS):  # Illinois: a secant that keeps its bracket
@@ -226,6 +229,18 @@ class CompliantPlant:
             end.v2, way.load = 0.0, 0
         self._state = end
         return time
+
+    def _barely(self, begin: _State, step: float, command: float, side: str) -> float:
+        """A side that broke away and is turned back within the step: as far as it goes, or not at all."""
+        for _ in range(_HALVINGS):
+            step *= 0.5
+            end = self._runge_kutta(begin, step, command)
+            if not self._crossed(begin, end):
+                self._state = end
+                return step
+        setattr(self._way, side, 0)
+        self._state = self._runge_kutta(begin, step, command)
+        return step
 
     def _crossed(self, begin: _State, end: _State) -> str:
         """Which side has turned within the step, '' for none; the motor first."""

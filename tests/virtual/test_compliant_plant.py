@@ -68,6 +68,16 @@ def test_stribeck_friction_against_an_independent_integration() -> None:
     assert plant.velocity == pytest.approx(back.y[1, -1], rel=1e-4)
 
 
+def test_an_axis_that_barely_breaks_away_comes_to_rest_again() -> None:
+    """The torque is above the breakaway level for a part of a step only: behind a lag, on its way back."""
+    p = CompliantParameters(2.2e-6, 3e-5, Dry(2.6e-3, 3.1e-3, 3.5), load=0.36e-3, lag=5e-4)
+    plant = CompliantPlant(p)
+    for n in range(400):
+        plant.advance(2.5e-4, -2.9e-3 if n % 7 < 2 else -1.9e-3)
+    assert abs(plant.position) < 1e-3
+    assert plant.velocity == 0.0
+
+
 def terminal_speed(plant: CompliantPlant, torque: float, seconds: float) -> float:
     for _ in range(round(seconds / 1e-3)):
         plant.advance(1e-3, torque)

@@ -45,8 +45,8 @@ ROOM = {
     "epos-antibacklash": 2000.0, "epos-worm": 1500.0, "hsm150": 150.0, "ur10e": 6.0, "franka": 10.0,
     "mx106": 6.0, "erob": 10.0, "puma": 150.0, "tree": 10.0, "openarm": 10.0,
 }  # fmt: skip
-TORQUE = {"epos-antibacklash": 0.02}
-WATCHDOG = 0.1
+TORQUE = {"epos-antibacklash": 0.0135}
+WATCHDOG, WATCHDOG_CYCLES = 0.1, 12
 
 
 @dataclass
@@ -89,7 +89,7 @@ def measure(
 ) -> dict[str, Any]:
     name = parse(link).place
     axis = axis_of(link)
-    limits = axis.limits.model_copy(update={"watchdog": max(WATCHDOG, 5 * cycle)})
+    limits = axis.limits.model_copy(update={"watchdog": max(WATCHDOG, WATCHDOG_CYCLES * cycle)})
     axis = axis.model_copy(update={"limits": limits})
     with Journal(Path(os.environ["TWORELAY_HOME"])) as journal, Interruption() as interruption:
         desk = Desk(journal, interruption, lambda text: None, lambda question, word: True)
@@ -164,7 +164,9 @@ def idim(outcome: Outcome, result: dict[str, Any], truth: dict[str, float]) -> O
 def sweep(outcome: Outcome, link: str, axis: VirtualAxis, truth: dict[str, float]) -> Outcome:
     """Constant speeds both ways in position mode, the drive's own torque, a straight line."""
     virtual = axis_of(link)
-    limits = virtual.limits.model_copy(update={"watchdog": max(WATCHDOG, 5 * outcome.cycle)})
+    limits = virtual.limits.model_copy(
+        update={"watchdog": max(WATCHDOG, WATCHDOG_CYCLES * outcome.cycle)}
+    )
     drive = open_drive(virtual.model_copy(update={"limits": limits}), cycle=outcome.cycle)
     points, samples = [], []
     try:

@@ -19,6 +19,7 @@ __all__ = ["FirstLook", "first_look", "push"]
 RAMP_TIME = 4.0  # s from zero to the torque limit
 _WOUND_UP, _AWAY = 1.8, 6.0  # displacements that count as motion: still at its place, and off
 _PUSHES = (1.5, 2.2)  # torque of the pushes, in breakaway torques
+_HARDER = 1.1  # the second pair of pushes over the first, at least
 _PUSH_TRAVEL = 0.05  # share of the travel that a push may take
 _PUSH_SPEED = 0.3  # share of the speed limit
 _PUSH_TIME = 0.8  # s
@@ -89,10 +90,16 @@ def first_look(context: Context) -> Plan[FirstLook]:
         )
     context.tell("short pushes and coasts, both ways")
     pushes = []
-    for multiple in _PUSHES:
-        for direction in (+1, -1):
-            torque = direction * min(multiple * breakaway, most)
-            pushes.append((yield from push(context, offset, torque)))
+    gentle, hard = _PUSHES
+    for direction in (+1, -1):
+        torque = direction * min(gentle * breakaway, most)
+        pushes.append((yield from push(context, offset, torque)))
+    # a slow cycle needs as many samples, and meets a higher speed
+    fastest = max(push.speed for push in pushes)
+    hard = min(hard, 1 + (gentle - 1) * _PUSH_SPEED * context.speed / fastest)
+    for direction in (+1, -1):
+        torque = direction * min(max(hard, _HARDER * gentle) * breakaway, most)
+        pushes.append((yield from push(context, offset, torque)))
     return _evaluate(context, breakaway, offset, pushes)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import sqrt
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from commissioning.identification.friction_laws import Law, Rung
-from commissioning.identification.motion import Model, Motion
+from commissioning.identification.motion import MANY, Cells, Model, Motion, Turning
 from commissioning.identification.record import Record, reversals
 from commissioning.identification.signals import hat_moments
 from commissioning.identification.windows import (
@@ -32,9 +33,11 @@ _FEWEST_REVERSALS = 6
 _FEWEST_WINDOWS = 20
 _DELAYS = 12  # first guesses of the dead time
 _MOST_PASSES = 12
-_SETTLING_PASSES = 4  # of a motion whose model is known
+_UNSETTLED, _BETTER = 0.01, 0.7  # held-out residual above which reversals are sought another way
+_SETTLING_PASSES = 2  # of a motion whose model is known
 _FLOOR = 1e-3  # of a row's torque: what a row may miss beside the noise of the resolution
 _NEGATIVE = 0.01  # of the Coulomb friction, at the fastest: negative viscous friction that is noise
+_GOLDEN = 8  # steps to the best shape
 _SHAPES = 11  # first guesses of a shape parameter
 _MOST_WAVES = 150  # of a position-periodic torque along the swing
 
@@ -54,6 +57,9 @@ class Fit:
     condition : of the scaled least-squares matrix
     halves : Coulomb friction of the odd and of the even periods, N.m or N
     widths : Coulomb friction from the wide windows alone and from the narrow ones alone, N.m or N
+    instants : of the reversals, s
+    lateness : median distance of the reversals from where the velocity is zero, as a share of a sample;
+        where it is not small they make up for something that the law lacks
     """
 
     law: Law
@@ -65,6 +71,8 @@ class Fit:
     condition: float
     halves: tuple[float, float]
     widths: tuple[float, float]
+    instants: Array
+    lateness: float
 
 
 class Fitter:
@@ -115,6 +123,16 @@ class Fitter:
 
     def fit(self, law: Law, start: Fit | None = None) -> Fit:
         """Fit `law`, from the beginning or from another fit of the same record."""
+        found = self._fit(law, start, "speed")
+        if (
+            found.held_out > _UNSETTLED
+        ):  # few samples and gaps: the velocity is not seen well enough
+            other = self._fit(law, start, "position")
+            if other.model.inertia > 0 and other.held_out < _BETTER * found.held_out:
+                return other
+        return found
+
+    def _fit(self, law: Law, start: Fit | None, by: Turning) -> Fit:
         motion = self.motion_of(start) if start else Motion(self.record, *self._begin, self.period)
         model = start.model if start else None
         delay = model.dead_time if model else self._first_delay(motion, law)
@@ -130,15 +148,14 @@ class Fitter:
             model = Model(inertia, float(solution[1]), float(solution[2]), delay)
             if not inertia > 0:
                 break
-            friction = law.terms(motion.cells) @ solution[_COULOMB:-1]
-            moved = motion.update(model, friction)
+            moved = motion.update(model, _friction(law, solution[_COULOMB:-1]), by)
             if moved < 1e-3 * self.step and abs(solution[-1]) < 1e-3 * self.step:
                 break
         problem = self._problem(motion, law, delay, inertia)
         assert model is not None
-        return self._told(problem, law, model)
+        return self._told(problem, law, model, motion)
 
-    def _told(self, problem: Problem, law: Law, model: Model) -> Fit:
+    def _told(self, problem: Problem, law: Law, model: Model, motion: Motion) -> Fit:
         """Everything that a solved problem tells."""
         periods, is_wide = self._periods_of_rows, self._windows.is_wide
         odd = periods % 2 == 1
@@ -158,13 +175,15 @@ class Fitter:
             problem.condition,
             halves,
             widths,
+            motion.instants,
+            motion.lateness / self.step,
         )
 
     def motion_of(self, fit: Fit) -> Motion:
         """The motion as a fit has it."""
-        motion = Motion(self.record, *self._begin, self.period)
+        motion = Motion(self.record, fit.instants, self._begin[1], self.period)
         for _ in range(_SETTLING_PASSES):
-            motion.update(fit.model, fit.law.terms(motion.cells) @ fit.coefficients)
+            motion.update(fit.model, _friction(fit.law, fit.coefficients), "nothing")
         return motion
 
     def with_rung(self, fit: Fit, rung: Rung) -> Fit | None:
@@ -227,7 +246,7 @@ class Fitter:
         """Golden section about the best of the first guesses."""
         a, b = np.log(shapes[max(at - 1, 0)]), np.log(shapes[min(at + 1, len(shapes) - 1)])
         ratio = (sqrt(5) - 1) / 2
-        for _ in range(12):
+        for _ in range(_GOLDEN):
             c, d = b - ratio * (b - a), a + ratio * (b - a)
             left, right = (
                 self._cost(motion, _with_shape(fit.law, rung, float(np.exp(x))), fit.model)
@@ -288,6 +307,11 @@ class Fitter:
         noise = inertia * self._quantum * self._windows.noise
         result: Array = np.hypot(noise, _FLOOR * self._typical)
         return result
+
+
+def _friction(law: Law, coefficients: Array) -> Callable[[Cells], Array]:
+    """Friction torque in the cells."""
+    return lambda cells: np.asarray(law.terms(cells) @ coefficients, np.float64)
 
 
 def _with_shape(law: Law, rung: Rung, shape: float) -> Law:

@@ -24,14 +24,16 @@ from commissioning.identification.fitting import Fit, Fitter
 from commissioning.identification.friction_laws import Law, Rung, curve
 from commissioning.identification.record import Kinematics, Record, kinematics, rests
 
-__all__ = ["ModulatingEstimate", "estimate", "refined_kinematics"]
+__all__ = ["SUSPICIOUS", "ModulatingEstimate", "estimate", "refined_kinematics"]
 
 Array = NDArray[np.float64]
 
 _NARROWER, _FEW_SAMPLES = 0.4, 60  # any motion: each width of the last, down to this many samples
 # the ladder: a richer law must explain held-out periods better by this factor
-_BETTER = 0.6
-_EXPLAINED = 1e-3  # of the torque: below this nothing is left that a richer law could explain
+_BETTER, _BETTER_THAN_SUSPICIOUS = 0.6, 0.9
+SUSPICIOUS = 0.08  # of a sample: reversals so far from zero velocity make up for an incomplete law
+# share of the torque below which nothing is left that one more term could explain, a second one more
+_EXPLAINED = 1e-3, 3e-3
 _EXPLAINS = 0.03  # of the torque: a model that leaves more says nothing about reversals
 
 
@@ -53,6 +55,7 @@ class ModulatingEstimate:
         that were left out, and of Coulomb friction alone
     condition : of the scaled least-squares matrix; large means that the record cannot tell apart
     halves, widths : relative difference of f between odd and even periods, wide and narrow windows
+    lateness : median distance of the reversals from zero velocity, as a share of a sample
     noise : what the resolution alone would leave, as a share of the torque
     periods : of the record
     windows : that were used
@@ -74,6 +77,7 @@ class ModulatingEstimate:
     condition: float
     halves: float
     widths: float
+    lateness: float
     noise: float
     periods: float
     windows: int
@@ -118,7 +122,9 @@ def _numbers(fitter: Fitter, fit: Fit, rigid: Fit) -> ModulatingEstimate:
     halves, widths = (abs(a - b) for a, b in (fit.halves, fit.widths))
     model = fit.model
     return ModulatingEstimate(
-        coulomb=Estimate.around(f, float(errors[3]), 5e-4 * f + 0.5 * left + 0.25 * widths),
+        coulomb=Estimate.around(
+            f, float(errors[3]), f * (5e-4 + 2 * fit.lateness) + 0.5 * left + 0.25 * widths
+        ),
         offset=Estimate.around(model.offset, float(errors[2]), 5e-4 * f + 0.3 * left),
         viscous=Estimate.around(
             model.viscous, float(errors[1]), 2e-3 * abs(model.viscous) + left / peak
@@ -143,6 +149,7 @@ def _numbers(fitter: Fitter, fit: Fit, rigid: Fit) -> ModulatingEstimate:
         condition=fit.condition,
         halves=halves / abs(f) if f else float("inf"),
         widths=widths / abs(f) if f else float("inf"),
+        lateness=fit.lateness,
         noise=fitter.noise(fit),
         periods=float(fitter.record.time[-1] - fitter.record.time[0]) / fitter.period,
         windows=fitter.windows,
@@ -169,8 +176,8 @@ def refined_kinematics(record: Record) -> Kinematics:
 def _climb(fitter: Fitter, rigid: Fit) -> Fit:
     """The simplest law that no richer one beats clearly on held-out periods."""
     best = rigid
-    for _ in range(2):
-        if best.held_out < max(_EXPLAINED, 1.2 * fitter.noise(best)):
+    for enough in _EXPLAINED:
+        if best.held_out < max(enough, 1.2 * fitter.noise(best)):
             return best
         richer = [
             found
@@ -180,7 +187,8 @@ def _climb(fitter: Fitter, rigid: Fit) -> Fit:
         if not richer:
             return best
         challenger = min(richer, key=lambda fit: fit.held_out)
-        if not challenger.held_out < _BETTER * best.held_out:
+        enough_better = _BETTER if best.lateness < SUSPICIOUS else _BETTER_THAN_SUSPICIOUS
+        if not challenger.held_out < enough_better * best.held_out:
             return best
         best = challenger
     return best

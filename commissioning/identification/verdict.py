@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from commissioning.identification.lock_in import LockIn
-from commissioning.identification.modulating import ModulatingEstimate
+from commissioning.identification.modulating import SUSPICIOUS, ModulatingEstimate
 from commissioning.identification.record import Record, reversals
 
 __all__ = [
@@ -38,7 +38,7 @@ _HALVES, _WIDTHS, _LEFT = 0.02, 0.05, 0.012
 _BEYOND_NOISE = 1.5  # times what the resolution leaves
 
 _REJECTED_LEFT = 0.12  # of the torque unexplained
-_REJECTED_WIDTH = 0.3  # half of f's interval, of f
+_WIDE, _REJECTED_WIDTH = 0.04, 0.3  # half of f's interval, of f
 _COARSE, _TOO_COARSE = 150, 30  # counts of half-swing
 _DWELL, _MUCH_DWELL = 0.02, 0.15  # of the time
 _TORQUE_OFF = 0.08  # of the command
@@ -85,6 +85,7 @@ def within_short(found: ModulatingEstimate) -> bool:
         and found.rigid_residual <= max(_LEFT, _BEYOND_NOISE * found.noise)
         and found.halves <= max(_HALVES, found.noise)
         and found.widths <= max(_WIDTHS, 2 * found.noise)
+        and found.lateness <= SUSPICIOUS
         and found.coulomb.value > 0
     )
 
@@ -123,11 +124,23 @@ def of_modulating(found: ModulatingEstimate, units: Units) -> list[Reason]:
                 else "the friction is not Coulomb-like, or the axis is elastic"
             ),
         )
+    if found.lateness > SUSPICIOUS:
+        add(
+            Weight.DOUBT,
+            f"the reversals that fit best lie {100 * found.lateness:.0f} % of a sample from zero velocity: "
+            "the friction law is incomplete, or the link too irregular for the period; a shorter --cycle "
+            "or a longer period helps",
+        )
     if f.half_width > _REJECTED_WIDTH:
         add(
             Weight.CONTRADICTION,
             f"the interval of the friction, {f.low:.3g} … {f.high:.3g} {e}, is too wide to be of use: "
             "give the axis more torque, travel or periods",
+        )
+    elif f.half_width > _WIDE:
+        add(
+            Weight.DOUBT,
+            f"the interval of the friction is wide: {f.low:.3g} … {f.high:.3g} {e}",
         )
     if found.halves > max(_HALVES, 2 * found.noise):
         add(

@@ -19,7 +19,7 @@ __all__ = ["FirstLook", "first_look", "push"]
 RAMP_TIME = 4.0  # s from zero to the torque limit
 _WOUND_UP, _AWAY = 1.8, 6.0  # displacements that count as motion: still at its place, and off
 _PUSHES = (1.5, 2.2)  # torque of the pushes, in breakaway torques
-_HARDER = 1.1  # the second pair of pushes over the first, at least
+_HARDER = 1.05  # the second pair of pushes over the first, at least
 _PUSH_TRAVEL = 0.05  # share of the travel that a push may take
 _PUSH_SPEED = 0.3  # share of the speed limit
 _PUSH_TIME = 0.8  # s
@@ -176,7 +176,7 @@ def push(context: Context, offset: float, torque: float) -> Plan[Push]:
         samples.append(sample)
         moved = (sample.position - begin.position) * direction
         speed = abs(sample.position - begin.position) / max(sample.time - samples[0].time, 1e-9)
-        enough = len(samples) >= _FEWEST + 3
+        enough = len(samples) >= _FEWEST + 2
         if (enough or moved >= 2 * far) and (moved >= far or 2 * speed >= fast):
             break
         if sample.time - samples[0].sent > _PUSH_TIME:

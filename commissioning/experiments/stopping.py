@@ -65,6 +65,9 @@ def run_up(context: Context, known: FirstLook) -> Plan[tuple[float, float]]:
     torque = min(2.0 * max(known.coulomb, known.breakaway), most)
     coasting = (2 * known.coulomb * _COAST_TRAVEL * context.travel / known.inertia) ** 0.5
     goal = min(_PROOF_SPEED * context.speed, coasting)
+    # the stop comes a dead time and two cycles after the speed that asks for it
+    ahead = (torque - known.coulomb) / known.inertia * (known.dead_time + 2 * context.cycle)
+    goal = max(goal - ahead, 0.3 * goal)
     before = yield known.offset
     begin, begun = before.position, before.time
     while True:

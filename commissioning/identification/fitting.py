@@ -124,9 +124,8 @@ class Fitter:
     def fit(self, law: Law, start: Fit | None = None) -> Fit:
         """Fit `law`, from the beginning or from another fit of the same record."""
         found = self._fit(law, start, "speed")
-        if (
-            found.held_out > _UNSETTLED
-        ):  # few samples and gaps: the velocity is not seen well enough
+        few = self.period < MANY * self.step  # and with gaps the velocity is not seen well enough
+        if few and found.held_out > _UNSETTLED:
             other = self._fit(law, start, "position")
             if other.model.inertia > 0 and other.held_out < _BETTER * found.held_out:
                 return other

@@ -35,6 +35,7 @@ SUSPICIOUS = 0.08  # of a sample: reversals so far from zero velocity make up fo
 # share of the torque below which nothing is left that one more term could explain, a second one more
 _EXPLAINED = 1e-3, 3e-3
 _EXPLAINS = 0.03  # of the torque: a model that leaves more says nothing about reversals
+_SHAPE = 0.004  # of f: what a shape parameter that is searched for may take or give
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,10 +122,10 @@ def _numbers(fitter: Fitter, fit: Fit, rigid: Fit) -> ModulatingEstimate:
     left = swing * fit.residual  # torque that no term explains, N.m or N
     halves, widths = (abs(a - b) for a, b in (fit.halves, fit.widths))
     model = fit.model
+    shaped = fit.law.soft is not None or fit.law.stribeck is not None
+    share = 5e-4 + 2 * fit.lateness + (_SHAPE if shaped else 0.0)
     return ModulatingEstimate(
-        coulomb=Estimate.around(
-            f, float(errors[3]), f * (5e-4 + 2 * fit.lateness) + 0.5 * left + 0.25 * widths
-        ),
+        coulomb=Estimate.around(f, float(errors[3]), f * share + 0.5 * left + 0.25 * widths),
         offset=Estimate.around(model.offset, float(errors[2]), 5e-4 * f + 0.3 * left),
         viscous=Estimate.around(
             model.viscous, float(errors[1]), 2e-3 * abs(model.viscous) + left / peak

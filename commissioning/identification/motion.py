@@ -28,7 +28,7 @@ Turning = Literal["speed", "position", "nothing"]
 
 _A_SAMPLE = 4  # cells in a sample interval …
 _FINE = 300  # … and 2 where a period has more samples than this
-MANY = 150  # samples a period in which the velocity is seen well enough
+MANY = 60  # samples a period in which the velocity is seen well enough
 _SOFT = 0.1  # of the largest friction: a smaller jump at a reversal says nothing
 _RIDGE = 1e-13
 _KNOTS = 6  # of what the model leaves over, a period

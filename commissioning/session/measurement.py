@@ -46,6 +46,7 @@ _BRAKING_SHARE = 0.7  # of the braking that was seen, for what is certain
 _SOUND = 0.35, 0.72  # f/d1 of well-conditioned oscillations
 _KNOWN = 0.3  # relative half-width of f up to which it is worth a new design
 _CHANGED = 0.87  # of d1: a smaller change is none
+_STALL = 1.5  # cycles
 _NOTICE = 4  # cycles: three missed ones and the one under way
 
 
@@ -224,9 +225,14 @@ class Measurement:
         # commands before the record act in it, too
         early = begin - self.plan.period
         cut = [s for s in self.recorder.samples if early <= s.time <= end]
+        # a host that stalls within an exchange stamps it wrongly; it shows in the next one's lateness
+        stall = _STALL * self.context.cycle
+        kept = [
+            s for s, after in zip(cut, [*cut[1:], cut[-1]], strict=True) if after.lateness <= stall
+        ]
         whole = Record.of(
-            [s.time for s in cut],
-            [s.position for s in cut],
+            [s.time for s in kept],
+            [s.position for s in kept],
             [s.sent for s in cut],
             [s.command for s in cut],
             self.context.resolution,

@@ -78,7 +78,7 @@ SPOILED: dict[str, tuple[Callable[[Record], Record], str, str]] = {
     ),
     "torque halved midway: the drive limits": (
         lambda r: changed(r, command=np.where(_late(r, 0.5), 0.5, 1.0) * r.command),
-        "rejected", "of the torque unexplained",
+        "rejected", "unexplained",
     ),
     "torque of another axis": (
         lambda r: changed(r, command=np.random.default_rng(0).permutation(r.command)),

@@ -22,7 +22,9 @@ __all__ = ["Column", "Recording", "Table", "column_of", "read", "table_of"]
 Array = NDArray[np.float64]
 
 _LARGEST = 300_000_000  # bytes
-_MOST_ROWS = 5_000_000
+_MOST_ROWS = 2_000_000
+_MOST_CELLS = 10_000_000
+_LONGEST_GAP = 2000  # usual steps
 _SEARCHED = 200  # lines for the header
 
 # unit: (what, factor to SI, whether linear; None: either)
@@ -121,6 +123,8 @@ def column_of(text: str | None, quantity: str, scalars: dict[str, float]) -> Col
 def table_of(path: Path) -> Table:
     """Read a file as a table; raises UsageError."""
     try:
+        if not path.is_file():
+            raise UsageError(f"{path}: cannot be read: it is no file")
         if path.stat().st_size > _LARGEST:
             raise UsageError(f"{path}: larger than {_LARGEST // 1_000_000} MB; cut the recording")
         data = path.read_bytes()
@@ -130,14 +134,24 @@ def table_of(path: Path) -> Table:
         return _mat(path, data)
     if b"\0" in data[:1000]:
         raise UsageError(f"{path}: is no text; a recording is CSV with a header, or .mat")
-    return _csv(path, data.decode("utf-8-sig", "replace"))
+    if data.count(b"\n") > _MOST_ROWS:
+        raise UsageError(f"{path}: more than {_MOST_ROWS} rows; cut the recording")
+    if data.count(b",") + data.count(b";") + data.count(b"\t") > 4 * _MOST_CELLS:
+        raise UsageError(f"{path}: more than {_MOST_CELLS} cells; cut the recording")
+    try:
+        return _csv(path, data.decode("utf-8-sig", "replace"))
+    except csv.Error as error:
+        raise UsageError(f"{path}: cannot be read as CSV: {error}") from None
 
 
 def _mat(path: Path, data: bytes) -> Table:
     import scipy.io
 
     try:
-        found = scipy.io.loadmat(io.BytesIO(data))  # type: ignore[arg-type]
+        # a small compressed file may hold a large array: only what is small is inflated
+        shapes = scipy.io.whosmat(io.BytesIO(data))  # type: ignore[arg-type]
+        small = [name for name, shape, _ in shapes if math.prod(shape) <= _MOST_CELLS]
+        found = scipy.io.loadmat(io.BytesIO(data), variable_names=small)  # type: ignore[arg-type]
     except Exception as error:  # the reader has no error class of its own
         raise UsageError(
             f"{path}: cannot be read as .mat ({error}); save it as version 7 or older, or as CSV"
@@ -161,8 +175,6 @@ def _mat(path: Path, data: bytes) -> Table:
 
 def _csv(path: Path, text: str) -> Table:
     lines = text.splitlines()
-    if len(lines) > _MOST_ROWS:
-        raise UsageError(f"{path}: more than {_MOST_ROWS} rows; cut the recording")
     delimiter, first = _layout(path, lines)
     decimal_comma = delimiter != "," and any(
         re.search(r"\d,\d", line) for line in lines[first : first + 20]
@@ -170,7 +182,8 @@ def _csv(path: Path, text: str) -> Table:
     rows = list(csv.reader(lines[:first], delimiter=delimiter))
     header, units = _header(path, rows, len(next(csv.reader([lines[first]], delimiter=delimiter))))
     cells = []
-    for number, row in enumerate(csv.reader(lines[first:], delimiter=delimiter), first + 1):
+    body = csv.reader(lines[first:], delimiter=delimiter, quoting=csv.QUOTE_NONE)
+    for number, row in enumerate(body, first + 1):
         if not any(cell.strip() for cell in row):
             continue
         if len(row) < len(header):
@@ -258,12 +271,23 @@ def read(table: Table, named: dict[str, Column | None]) -> Recording:
     if len(set(linear.values())) > 1:
         kinds = ", ".join(f"{q} {'linear' if k else 'rotary'}" for q, k in linear.items())
         raise UsageError(f"{table.path}: units of a rotary and of a linear axis are mixed: {kinds}")
-    _check(table, time, torque, found["position"])
-    sent = table.columns.get("sent_s")
+    _check(table, time, torque, found["position"], found["velocity"])
     return Recording(
-        time, torque, found["position"], found["velocity"],
-        time if sent is None or named.get("torque") else sent, any(linear.values()),
+        time, torque, found["position"], found["velocity"], _sent(table, named, time),
+        any(linear.values()),
     )  # fmt: skip
+
+
+def _sent(table: Table, named: dict[str, Column | None], time: Array) -> Array:
+    """When each torque was commanded: the column `sent_s` of our own exports, else `time`."""
+    sent = table.columns.get("sent_s")
+    if sent is None or named.get("torque") or named.get("time"):
+        return time
+    if len(sent) != len(time) or not np.all(np.isfinite(sent)) or np.any(np.diff(sent) <= 0):
+        raise UsageError(
+            f"{table.path}: column 'sent_s' must be finite and increase from row to row, as 'time_s'"
+        )
+    return sent
 
 
 def _default(table: Table, quantity: str) -> Column | None:
@@ -310,9 +334,11 @@ def _missing(table: Table, quantity: str) -> str:
     )
 
 
-def _check(table: Table, time: Array, torque: Array, position: Array | None) -> None:
+def _check(
+    table: Table, time: Array, torque: Array, position: Array | None, velocity: Array | None
+) -> None:
     path, first = table.path, table.first_row
-    lengths = {len(v) for v in (time, torque, *(() if position is None else (position,)))}
+    lengths = {len(v) for v in (time, torque, position, velocity) if v is not None}
     if len(lengths) > 1:
         raise UsageError(f"{path}: its columns have different lengths: {sorted(lengths)}")
     if len(time) < 50:
@@ -323,6 +349,13 @@ def _check(table: Table, time: Array, torque: Array, position: Array | None) -> 
         raise UsageError(
             f"{path}: row {first + k + 1}: time goes from {time[k]:.6g} s to {time[k + 1]:.6g} s; it must "
             "increase from row to row"
+        )
+    steps = np.diff(time)
+    if steps.max() > _LONGEST_GAP * float(np.median(steps)):
+        k = int(steps.argmax())
+        raise UsageError(
+            f"{path}: row {first + k + 1}: a gap of {steps[k]:.3g} s, where the usual step is "
+            f"{np.median(steps):.3g} s; cut the recording there"
         )
     if not np.any(np.diff(torque)):
         raise UsageError(

@@ -52,6 +52,13 @@ def summary(result: dict[str, Any], screen: Screen) -> None:
         interval = _interval(item["low"], item["high"])
         rows.append([name, number(item["value"], item["unit"]), interval, _in_drive(item)])
     screen.table(f"found by {friction['method']}", ["", "value", "interval", "drive's unit"], rows)
+    f, offset = friction["coulomb"], friction["offset"]
+    if f["value"] is not None and offset["value"] is not None:
+        up, down = offset["value"] + f["value"], offset["value"] - f["value"]
+        screen.say(
+            f"torque that overcomes friction and offset: {up:+.4g} {f['unit']} one way, "
+            f"{down:+.4g} {f['unit']} the other"
+        )
     points = result["critical_point"]
     if points:
         unit = result["units"]["gain"]

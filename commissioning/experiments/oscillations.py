@@ -158,7 +158,7 @@ def _find_period(
                 starts.append(len(time) - 1)
                 if len(starts) > count:
                     break
-                if len(starts) > 1:
+                if 1 < len(starts) <= count - 1 or (staged and len(starts) == 2):
                     _adjust(
                         context, relay, plan, known,
                         *(np.array(x[starts[-2] :]) for x in (time, position, command)),

@@ -61,7 +61,7 @@ class Oscillator:
         self.bias = bias
         self.wave = wave
         self._lead = lead
-        self._centre = centre
+        self.centre = centre
         self._cycle = cycle
         self._most = most
         crossover = _CROSSOVER * 2 * pi / period
@@ -99,7 +99,7 @@ class Oscillator:
             seen.popleft()
         elapsed = sample.time - seen[0][0]
         speed = (sample.position - seen[0][1]) / elapsed if elapsed > 0 else 0.0
-        return -self._stiffness * (sample.position - self._centre) - self._damping * speed
+        return -self._stiffness * (sample.position - self.centre) - self._damping * speed
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +140,11 @@ def hold(
         sample = yield oscillator.torque(sample)
         phase = oscillator.phase(sample.time)
         middle = 0.5 * (phase + oscillator.phase(before.time))
-        total += sample.position * exp(-2j * pi * middle) * (sample.time - before.time)
+        total += (
+            (sample.position - oscillator.centre)
+            * exp(-2j * pi * middle)
+            * (sample.time - before.time)
+        )
         before = sample
         if int(phase + 1e-6) == whole:
             continue

@@ -208,7 +208,7 @@ def lock_in(first: Phasors, second: Phasors, resolution: float, cycle: float) ->
     coarse = resolution / min(p.half_swing for p in pair)
     # a reversal is found to a few hundredths of a sample; harmonic 3 shows what else is wrong
     timing = 0.05 * cycle / period
-    apart = abs(abs(solved[1].friction) - f) if len(solved) > 1 else 0.0
+    apart = abs(abs(solved[1].friction) - f)
     share = {
         "coulomb": 1e-3 + 2 * timing + 0.3 * coarse, "offset": 0.0, "inertia": 2e-3 + 2 * timing,
         "viscous": 0.02, "dead_time": 0.02,

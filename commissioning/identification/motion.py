@@ -28,6 +28,7 @@ Turning = Literal["speed", "position", "nothing"]
 
 _A_SAMPLE = 4  # cells in a sample interval …
 _FINE = 300  # … and 2 where a period has more samples than this
+_MOST = 5000  # samples of a record in which all reversals are found together
 MANY = 60  # samples a period in which the velocity is seen well enough
 _SOFT = 0.1  # of the largest friction: a smaller jump at a reversal says nothing
 _RIDGE = 1e-13
@@ -198,7 +199,7 @@ class Motion:
         from scipy.interpolate import BSpline
 
         at, t = self.instants, self._time
-        if not len(at) or self._period > MANY * self._step:
+        if not len(at) or len(t) > _MOST or self._period > MANY * self._step:
             return None
         inside = self._step * 1e-3
         jumps = resist.at(at - inside) - resist.at(at + inside)

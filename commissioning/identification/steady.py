@@ -20,11 +20,12 @@ __all__ = ["SteadyFit", "SteadyPoint", "fit", "plateaus"]
 
 Array = NDArray[np.float64]
 
-_FEWEST_POINTS = 6
+_FEWEST_POINTS = 8
 _LEAST_SAMPLES = 20  # of a plateau
 _MEDIAN = 15  # samples of the running median
 _ONE_SPEED = 0.15  # of the speed: a record that wavers by less is one at one speed
 _STEP = 0.02  # of the largest speed: a change of speed that begins a new plateau
+_LEAST_TORQUE = 0.05  # of the largest: a smaller one weighs no more
 _BETTER = 0.85
 _SHAPES = 40
 
@@ -147,6 +148,10 @@ def fit(points: list[SteadyPoint]) -> SteadyFit:
     if shape is not None and _solve(speed, torque, shape)[0][3] < 0:
         shape = None
     solution, errors, rms = _solve(speed, torque, shape)
+    if not solution[0] > 0:
+        raise ValueError(
+            f"the fit gives a Coulomb friction of {solution[0]:.3g}: these points are no friction curve"
+        )
     names = {}
     for n, name in enumerate(("coulomb", "viscous", "offset")):
         names[name] = Estimate.around(float(solution[n]), float(errors[n]), 0.0)
@@ -170,8 +175,9 @@ def _columns(speed: Array, shape: float | None) -> Array:
 
 def _solve(speed: Array, torque: Array, shape: float | None) -> tuple[Array, Array, float]:
     """Coefficients, their standard errors, and the rms of the relative residual."""
-    a = _columns(speed, shape) / np.abs(torque)[:, None]
-    b = np.sign(torque)
+    least = np.maximum(np.abs(torque), _LEAST_TORQUE * float(np.abs(torque).max()))
+    a = _columns(speed, shape) / least[:, None]
+    b = torque / least
     scale = np.linalg.norm(a, axis=0)
     solution, *_ = np.linalg.lstsq(a / scale, b, rcond=None)
     rest = b - a / scale @ solution
@@ -186,9 +192,10 @@ def _held_out(speed: Array, torque: Array, odd: NDArray[np.bool_], shape: float 
     """Rms of the relative residual on the speeds left out, both ways."""
     squares = []
     for fitted, left_out in ((odd, ~odd), (~odd, odd)):
-        if fitted.sum() < 4 or not left_out.any():
+        if fitted.sum() < 3 + (shape is not None) or not left_out.any():
             return float("inf")
         solution, _, _ = _solve(speed[fitted], torque[fitted], shape)
         found = _columns(speed[left_out], shape) @ solution
-        squares.append((found / torque[left_out] - 1) ** 2)
+        least = np.maximum(np.abs(torque[left_out]), _LEAST_TORQUE * float(np.abs(torque).max()))
+        squares.append(((found - torque[left_out]) / least) ** 2)
     return float(np.sqrt(np.mean(np.concatenate(squares))))

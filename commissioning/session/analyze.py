@@ -78,10 +78,8 @@ def analyze(
     linear = recordings[0].linear
     if any(r.linear != linear for r in recordings):
         raise UsageError("rotary and linear recordings do not go together")
-    axis = Axis(
-        name=files[0].stem,
-        mechanics=Mechanics(motion="linear" if linear else "rotary", feed=1.0 if linear else None),
-    )
+    mechanics = Mechanics(motion="linear" if linear else "rotary", feed=1.0 if linear else None)
+    axis = Axis(mechanics=mechanics).model_copy(update={"name": files[0].stem})
     result: dict[str, Any] = blank(axis, None, None, None)
     first = recordings[0]
     result["experiment"] = {
@@ -99,7 +97,7 @@ def analyze(
             raise UsageError("several recordings go together with --steady only; give one")
         else:
             _motion(result, first, axis, method, tell)
-    except (ValueError, MeasurementRejected) as error:
+    except (ValueError, ArithmeticError, MeasurementRejected) as error:
         result["status"] = "rejected"
         if not result["quality"]["reasons"]:
             result["quality"] = {"verdict": "rejected", "reasons": [str(error)]}
@@ -182,7 +180,14 @@ def _motion(
     if two is not None and method != "modulating":
         tell(f"two oscillations of {two[0].period * 1000:.4g} ms: exact harmonic balance")
         first, second = (
-            phasors(record, kinematics, o.begin, two[0].period, o.periods) for o in two
+            phasors(
+                record,
+                kinematics,
+                o.begin,
+                two[0].period,
+                int(o.periods * o.period / two[0].period),
+            )
+            for o in two
         )
         exact = lock_in(first, second, record.resolution, result["experiment"]["cycle"])
         result["methods"]["lock-in"] = balance_json(exact)

@@ -49,7 +49,7 @@ from commissioning.session.result import (
 from commissioning.settings import Settings
 from drivers.drive import Drive
 from profiles.axis import Axis
-from profiles.errors import TwoRelayError, WriteFailed
+from profiles.errors import MeasurementRejected, TwoRelayError, WriteFailed
 from profiles.library import digest, source_text
 from profiles.schema import CompensationLaw
 
@@ -125,7 +125,10 @@ def _identify(
             axis, options, desk, drive, limits, recorder, Settings(desk.journal, run_id, drive)
         )
         measured = job.measure()
-        _fill(result, measured, job, drive, options)
+        try:
+            _fill(result, measured, job, drive, options)
+        except ValueError as error:  # a limit cycle that no relay makes
+            raise MeasurementRejected(f"the oscillations contradict themselves: {error}") from None
         changes = _proposal(drive, measured, options.fraction, result["quality"]["reasons"])
         result["compensation"] = changes_json(changes)
         result["status"] = "completed"

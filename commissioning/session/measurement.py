@@ -193,8 +193,11 @@ class Measurement:
         f, before = found.coulomb.value, self.plan
         if not 0 < f < self.context.torque or found.coulomb.half_width > _KNOWN:
             return False
+        if not found.inertia.value > 0:
+            return False
         if _SOUND[0] <= f / before.d1 <= _SOUND[1]:
             return False
+        kept = self.known, self.plan, self.envelope
         self.known = replace(
             self.known,
             coulomb=f,
@@ -205,7 +208,7 @@ class Measurement:
         try:
             self._design()
         except (MeasurementRejected, PreflightRefused):
-            self.plan = before
+            self.known, self.plan, self.envelope = kept
             return False
         if self.plan.d1 < _CHANGED * before.d1 or self.plan.d1 * _CHANGED > before.d1:
             e = self.axis.effort_unit
@@ -214,6 +217,7 @@ class Measurement:
                 f"±{self.plan.d2:.4g} {e}"
             )
             return True
+        self.known, self.plan, self.envelope = kept
         return False
 
     def run(self, plan: Plan[T]) -> T:

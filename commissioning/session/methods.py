@@ -153,7 +153,7 @@ def measure(method: str, rig: Rig) -> Measured:
         if method == "all":
             return _all(rig)
         return _thesis(rig, "delay" if method == "two-relay-delay" else "hysteresis")
-    except ValueError as error:  # identification knows records, not axes
+    except (ValueError, ArithmeticError) as error:  # identification knows records, not axes
         raise MeasurementRejected(f"{method}: {error}") from None
 
 
@@ -311,22 +311,24 @@ def _two_relay(rig: Rig, switching: Switching) -> Plan[TwoRelay]:
 def _all(rig: Rig) -> Measured:
     """Every method; the numbers from `auto`. A method of the thesis that fails is a reason, no end."""
     measured = _auto(rig)
-    if measured.lock_in is None:
-        exact = _lock_in(rig)
-        measured.lock_in, measured.periods = exact.lock_in, measured.periods + exact.periods
-    others: tuple[tuple[str, Callable[[], Measured]], ...] = (
+    others: list[tuple[str, Callable[[], Measured]]] = [
         ("two_relay", lambda: _thesis(rig, "hysteresis")),
         ("two_relay_delay", lambda: _thesis(rig, "delay")),
         ("phase_locked", lambda: _phase_locked(rig)),
-    )
+    ]
+    if measured.lock_in is None:
+        others.insert(0, ("lock_in", lambda: _lock_in(rig)))
     for name, run in others:
         try:
             other = run()
-        except MeasurementRejected as error:
+        except (MeasurementRejected, ValueError) as error:
             measured.reasons.append(Reason(Weight.NOTE, f"{name.replace('_', '-')}: {error}"))
             continue
         setattr(measured, name, getattr(other, name))
         measured.periods += other.periods
+        if other.lock_in is not None and measured.modulating is not None:
+            measured.reasons += other.reasons
+            measured.reasons.append(agreement(measured.modulating, other.lock_in, rig.units))
         if name == "two_relay":
             measured.relay, measured.shown, measured.tests = other.relay, other.shown, other.tests
     return measured

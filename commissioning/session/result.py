@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 from typing import Any
 
 from commissioning.compensation import Change
@@ -191,7 +192,7 @@ def modulating_json(estimate: ModulatingEstimate) -> dict[str, Any]:
     speed = np.geomspace(0.002, 1, 40) * estimate.peak_speed
     return (
         numbers
-        | {key: getattr(estimate, key) for key in checks}
+        | {key: _finite(getattr(estimate, key)) for key in checks}
         | {
             "law": {
                 "terms": ["coulomb", "viscous", *law.rungs],
@@ -203,6 +204,11 @@ def modulating_json(estimate: ModulatingEstimate) -> dict[str, Any]:
             "curve": {"speed": speed.tolist(), "friction": estimate.curve(speed).tolist()},
         }
     )
+
+
+def _finite(value: float) -> float | None:
+    """Not known is null."""
+    return value if isfinite(value) else None
 
 
 def steady_json(
@@ -218,8 +224,8 @@ def steady_json(
         "viscous": estimate.viscous.value,
         "stribeck_level": estimate.stribeck_level,
         "stribeck_speed": estimate.stribeck_speed,
-        "rms": estimate.rms,
-        "held_out": estimate.held_out,
+        "rms": _finite(estimate.rms),
+        "held_out": _finite(estimate.held_out),
         "points": [{"speed": p.speed, "torque": p.torque, "error": p.error} for p in points],
         "curve": {"speed": speed.tolist(), "friction": estimate.curve(speed).tolist()},
     }

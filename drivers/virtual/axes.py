@@ -261,10 +261,6 @@ def configured(name: str, options: dict[str, str]) -> VirtualAxis:
         else:
             raise UnknownName("option of a virtual axis", key, [*_OPTIONS, "seed", "state"])
     axis = replace(AXES[name], **changes)  # type: ignore[arg-type]
-    try:
-        axis.build()
-    except ValueError as error:
-        raise UsageError(f"virtual axis '{name}': {error}") from None
     for key in ("encoder", "cycle", "rated", "peak", "speed", "travel"):
         if not getattr(axis, key) > 0:
             raise UsageError(f"virtual axis '{name}': {key} is {getattr(axis, key):g}: must be > 0")
@@ -273,6 +269,10 @@ def configured(name: str, options: dict[str, str]) -> VirtualAxis:
             raise UsageError(
                 f"virtual axis '{name}': {key} is {getattr(axis, key):g}: must be {low:g}…{high:g}"
             )
+    try:
+        axis.build()
+    except ValueError as error:
+        raise UsageError(f"virtual axis '{name}': {error}") from None
     if axis.held_by < axis.coulomb:
         raise UsageError(
             f"virtual axis '{name}': breakaway is {axis.held_by:g}: must be at least coulomb, "
@@ -280,6 +280,8 @@ def configured(name: str, options: dict[str, str]) -> VirtualAxis:
         )
     if sum(bool(kind) for kind in (axis.soft, axis.lugre, axis.stribeck and not axis.lugre)) > 1:
         raise UsageError(f"virtual axis '{name}': stribeck, soft and lugre exclude each other")
+    if axis.lugre and not axis.coulomb > 0:
+        raise UsageError(f"virtual axis '{name}': lugre bristles need coulomb > 0")
     if axis.backlash and not axis.resonance:
         raise UsageError(
             f"virtual axis '{name}': backlash lies between motor and load: give resonance too"

@@ -257,6 +257,9 @@ def test_a_position_filter_is_first_order() -> None:
         ({"breakaway": "0.05"}, "must be at least coulomb"),
         ({"jitter": "2"}, "must be 0…1"),
         ({"pitch": "0"}, "must be 1e-06…"),
+        ({"inertia": "0"}, "must be 1e-09…"),
+        ({"resonance": "20", "ratio": "-1"}, "must be 0.001…"),
+        ({"lugre": "1000", "coulomb": "0", "breakaway": "0"}, "need coulomb > 0"),
     ],
 )
 def test_options_that_make_no_axis_are_refused(options: dict[str, str], words: str) -> None:

@@ -60,7 +60,7 @@ class Oscillator:
         self.period = period
         self.bias = bias
         self.wave = wave
-        self._lead = lead
+        self.lead = lead
         self.centre = centre
         self._cycle = cycle
         self._most = most
@@ -74,7 +74,7 @@ class Oscillator:
     def phase(self, time: float) -> float:
         """Periods since the first call of `torque`, and the lead."""
         begin = time if self._begin is None else self._begin
-        return self._lead + (time - begin) / self.period
+        return self.lead + (time - begin) / self.period
 
     def torque(self, sample: Sample) -> float:
         """Torque for the coming cycle, N.m or N: the wave's mean over it, and the centring."""
@@ -158,6 +158,8 @@ def hold(
         if done >= most or (since is not None and done - since >= measure):
             break
     first = since if since is not None else (0 if measure >= most else max(done - measure, 0))
+    if oscillator.lead:  # the wave began within a period
+        first = max(first, 1)
     held = Held(
         oscillator.amplitude, oscillator.period, starts[first], starts[-1], done, since is not None
     )

@@ -115,7 +115,7 @@ def phasors(
 ) -> Phasors:
     """Coefficients of `count` periods from `begin` (s), each about its own begin.
 
-    `begin` should lie between a switching of the torque and a reversal.
+    `begin` should lie away from the switchings of the torque and from the reversals.
     """
     from scipy.interpolate import CubicSpline
 

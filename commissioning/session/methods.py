@@ -52,7 +52,7 @@ _RELAY, _SHORT = 5, 7  # periods of the relay and of the oscillator that usually
 _AGAIN, _HELD = 2, 8  # of the relay and of each oscillation when they are not: 30 in all
 _SETTLED, _MOST = 10, 20  # periods of each oscillation of lock-in: settled, and at most
 _DESIGNS = 3  # how often the oscillations are chosen anew, where the first look was far off
-_EIGHTH = 1 / 8  # of a period: between a switching and a reversal
+_AWAY = 3 / 8  # of a period after a switching: well after the reversal, before the next switching
 
 
 class Rig(Protocol):
@@ -253,9 +253,9 @@ def _balance(record: Record, found: Oscillations, rig: Rig) -> LockIn:
 
 
 def _phasors(record: Record, kinematics: Kinematics, held: Held) -> Phasors:
-    """Whole periods of one stretch, from between a switching and a reversal on."""
+    """Whole periods of one stretch, from between a reversal and a switching on."""
     count = round((held.end - held.begin) / held.period) - 1
-    return phasors(record, kinematics, held.begin + _EIGHTH * held.period, held.period, count)
+    return phasors(record, kinematics, held.begin + _AWAY * held.period, held.period, count)
 
 
 def _phase_locked(rig: Rig) -> Measured:

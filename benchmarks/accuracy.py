@@ -112,6 +112,9 @@ def run(case: tuple[str, float, bool, str]) -> Outcome:
     except session.Failure as failure:
         outcome.refused = str(failure.error)
         return outcome
+    except Exception as bug:
+        outcome.refused = f"BUG {type(bug).__name__}: {bug}"
+        return outcome
     experiment = result["experiment"]
     outcome.periods, outcome.seconds = experiment["periods"], experiment["duration"]
     outcome.travel, outcome.verdict = experiment["travel"], result["quality"]["verdict"]
@@ -254,6 +257,8 @@ def interval(seed: int) -> tuple[bool, float, float, int, str] | str:
         result = measure(link, cycle)
     except session.Failure as failure:
         return str(failure.error)
+    except Exception as bug:
+        return f"BUG {type(bug).__name__}: {bug} at {link}"
     coulomb = result["friction"]["coulomb"]
     return (
         coulomb["low"] <= truth <= coulomb["high"],

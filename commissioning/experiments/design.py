@@ -109,14 +109,14 @@ def design(
     by_travel = sqrt(room * 32 * inertia * d2 / (d2 * d2 - f * f))
     by_speed = _SPEED_SHARE * context.speed * 4 * inertia * d2 / (d2 * d2 - f * f)
     period = min(period, by_travel, by_speed)
-    growth = half_swing(period, d2) / half_swing(period, d1)
     first = half_swing(period, d1)
-    if first < 20 * context.resolution or period < 8 * context.cycle:
+    if room <= 0 or first < 20 * context.resolution or period < 8 * context.cycle:
         raise PreflightRefused(
             f"the travel of ±{context.travel:.4g} {context.position_unit} is too small: it allows a "
             f"swing of ±{room:.3g} {context.position_unit} and a period of {period * 1000:.3g} ms, "
             f"against a cycle of {context.cycle * 1000:g} ms; give more --travel or a shorter --cycle"
         )
+    growth = half_swing(period, d2) / first
     return RelayDesign(
         d1, d2, overdrive_of(context, known, pace, d2), 0.3 * first * f / d1, period, first,
         room / growth, known.offset,

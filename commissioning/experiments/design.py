@@ -118,12 +118,12 @@ def design(
         )
     growth = half_swing(period, d2) / first
     return RelayDesign(
-        d1, d2, overdrive_of(context, known, pace, d2), 0.3 * first * f / d1, period, first,
+        d1, d2, _overdrive(context, known, pace, d2), 0.3 * first * f / d1, period, first,
         room / growth, known.offset,
     )  # fmt: skip
 
 
-def overdrive_of(context: Context, known: FirstLook, pace: Pace, d2: float) -> float:
+def _overdrive(context: Context, known: FirstLook, pace: Pace, d2: float) -> float:
     """Largest torque about the bias, N.m or N."""
     most = context.torque - abs(known.offset) - context.torque_resolution
     return max(min(pace.overdrive * d2, most), d2)

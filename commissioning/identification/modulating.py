@@ -35,6 +35,7 @@ SUSPICIOUS = 0.08  # of a sample: reversals so far from zero velocity make up fo
 # share of the torque below which nothing is left that one more term could explain, a second one more
 _EXPLAINED = 1e-3, 3e-3
 _EXPLAINS = 0.03  # of the torque: a model that leaves more says nothing about reversals
+_REACHED = 1.5  # of the slope that a sigmoid still has at the peak speed
 _SHAPE = 0.004  # of f: what a shape parameter that is searched for may take or give
 
 
@@ -124,6 +125,10 @@ def _numbers(fitter: Fitter, fit: Fit, rigid: Fit) -> ModulatingEstimate:
     model = fit.model
     shaped = fit.law.soft is not None or fit.law.stribeck is not None
     share = 5e-4 + 2 * fit.lateness + (_SHAPE if shaped else 0.0)
+    if (
+        fit.law.soft is not None
+    ):  # the level of a sigmoid that the speed does not reach is extrapolated
+        share += min(_REACHED / float(np.cosh(min(peak / fit.law.soft, 50.0))) ** 2, 0.25)
     return ModulatingEstimate(
         coulomb=Estimate.around(f, float(errors[3]), f * share + 0.5 * left + 0.25 * widths),
         offset=Estimate.around(model.offset, float(errors[2]), 5e-4 * f + 0.3 * left),

@@ -59,21 +59,7 @@ def summary(result: dict[str, Any], screen: Screen) -> None:
             f"torque that overcomes friction and offset: {up:+.4g} {f['unit']} one way, "
             f"{down:+.4g} {f['unit']} the other"
         )
-    points = result["critical_point"]
-    if points:
-        unit = result["units"]["gain"]
-        rows = [
-            [label, number(points[key]["gain"], unit), f"{points[key]['phase_deg']:.1f}°"]
-            for key, label in (
-                ("naive", "naive: what a relay autotuner concludes"),
-                ("hysteresis", "with the relay's hysteresis"),
-                ("corrected", "with hysteresis and friction"),
-            )
-        ]
-        period = points["corrected"]["period"] * 1000
-        screen.table(
-            f"the plant at the relay's own period of {period:.4g} ms", ["", "gain", "phase"], rows
-        )
+    points(result, screen)
     quality, experiment = result["quality"], result["experiment"]
     screen.say(
         f"{quality['verdict']}: {experiment['periods']} periods, {experiment['duration']:.1f} s, "
@@ -81,6 +67,52 @@ def summary(result: dict[str, Any], screen: Screen) -> None:
     )
     for reason in quality["reasons"]:
         screen.say(f"  {reason}")
+
+
+_POINTS = {
+    "naive": "naive: what a relay autotuner concludes",
+    "hysteresis": "with the relay's hysteresis",
+    "corrected": "with hysteresis and friction",
+    "measured": "measured again at another amplitude",
+    "at_180": "at −180°",
+    "at_135": "at −135°",
+}
+
+
+def points(result: dict[str, Any], screen: Screen) -> None:
+    """The plant's points, distorted and right."""
+    found = result["critical_point"]
+    if not found:
+        return
+    rows = []
+    for key, label in _POINTS.items():
+        point = found[key]
+        if point is None:
+            continue
+        how = f", {point['how']}" if key.startswith("at_") else ""
+        gain, turned = point["gain_high"], point["phase_high_deg"]
+        rows.append(
+            [
+                label + how,
+                number(point["gain"]) + (f" ± {gain - point['gain']:.1g}" if gain else ""),
+                f"{point['phase_deg']:.1f}°"
+                + (f" ± {turned - point['phase_deg']:.1f}°" if turned is not None else ""),
+                f"{1000 * point['period']:.4g} ms",
+                number(point["ku"]),
+            ]
+        )
+    gain_unit, ku_unit = result["units"]["gain"], result["units"].get("stiffness", "")
+    columns = ["", f"gain, {gain_unit}", "phase", "period", f"Ku, {ku_unit}"]
+    screen.table("the plant, force or torque in and position out", columns, rows)
+    if any("plant at" in reason for reason in result["quality"]["reasons"]):
+        return  # it was asked for, and said there
+    for key in ("at_180", "at_135"):
+        point = found[key]
+        if point and point["how"] == "computed" and point["travel_needed"]:
+            screen.say(
+                f"  {_POINTS[key]}: to measure it takes ±{point['travel_needed']:.3g} "
+                f"{result['units']['position']} of travel (--points)"
+            )
 
 
 def proposal(items: list[dict[str, Any]], screen: Screen) -> None:

@@ -179,6 +179,10 @@ _JOB_OPTIONS = [
         help="Measure N times; the interval then holds what the results scatter by.",
     ),
     click.option(
+        "--points", is_flag=True,
+        help="Measure also the plant at -180 and -135 degrees, where travel, speed and torque allow it.",
+    ),
+    click.option(
         "--output-filter", type=Finite(0, min_open=True), metavar="W",
         help="rad/s: corner of a first-order filter in the drive's position signal, to be undone.",
     ),
@@ -226,7 +230,7 @@ def options_from(arguments: dict[str, Any]) -> Options:
             )
     names = (
         "max_torque", "max_speed", "duration", "fraction", "method", "solver", "repeat",
-        "output_filter", "cycle", "without_watchdog", "dry_run",
+        "points", "output_filter", "cycle", "without_watchdog", "dry_run",
     )  # fmt: skip
     return Options(travel=travel, **{name: arguments[name] for name in names})
 

@@ -10,7 +10,7 @@ from commissioning.experiments.plan import Context
 from commissioning.experiments.stopping import Stopping
 from profiles.errors import MeasurementRejected, PreflightRefused
 
-__all__ = ["LONG", "SHORT", "Pace", "RelayDesign", "design"]
+__all__ = ["LONG", "SHORT", "Pace", "RelayDesign", "design", "travel_needed"]
 
 # Comfortable conditioning (method.md 2): f/d1 in 0.4–0.6, d2/d1 at least 1.5
 _D1_FRICTION, _D1_BREAKAWAY = 1.7, 1.3
@@ -132,18 +132,33 @@ def _overdrive(context: Context, known: FirstLook, pace: Pace, d2: float) -> flo
 def _room(
     context: Context, stopping: Stopping, d: float, f: float, inertia: float, overdrive: float
 ) -> float:
-    """Largest half-swing whose worst stop, at full speed past the switching point, stays inside."""
-    allowed = _TRAVEL_SHARE * context.travel
+    """Largest half-swing whose worst stop stays inside the travel."""
 
-    def reach(half_swing: float) -> float:
+    def needed(half_swing: float) -> float:
         peak = sqrt(2 * half_swing * (d * d - f * f) / (inertia * d))
-        return half_swing * f / d + stopping.distance(peak, overdrive * d)
+        return travel_needed(stopping, half_swing, f / d, peak, overdrive * d)
 
-    low, high = 0.0, allowed
+    low, high = 0.0, _TRAVEL_SHARE * context.travel
     for _ in range(60):
         middle = (low + high) / 2
-        if max(reach(middle), middle) <= allowed:
+        if needed(middle) <= context.travel:
             low = middle
         else:
             high = middle
     return low
+
+
+def travel_needed(
+    stopping: Stopping, half_swing: float, switching: float, peak_speed: float, torque: float
+) -> float:
+    """Travel that an oscillation asks for, rad or m: its worst stop, at full speed past the switching.
+
+    Parameters
+    ----------
+    half_swing : rad or m
+    switching : where the torque switches, as a share of the half-swing
+    peak_speed : rad/s or m/s
+    torque : largest about the bias, N.m or N
+    """
+    reach = half_swing * switching + stopping.distance(peak_speed, torque)
+    return max(reach, half_swing) / _TRAVEL_SHARE

@@ -5,15 +5,17 @@ The plant is the one between torque in force and position.
 
 from __future__ import annotations
 
-from cmath import phase
+from cmath import phase, rect
 from dataclasses import dataclass
-from math import degrees, pi
+from math import degrees, exp, log, pi, radians, sqrt
 
 from commissioning.identification.describing_function import equivalent, relay
+from commissioning.identification.estimate import Estimate
 from commissioning.identification.limit_cycle import LimitCycle
 
 __all__ = [
     "CriticalPoint",
+    "at_phase",
     "corrected",
     "friction_of",
     "from_model",
@@ -32,11 +34,17 @@ class CriticalPoint:
     gain : |position/torque|, rad/(N.m) or m/N
     phase_deg : in (−360, 0]
     period : s, of the oscillation that it was read at
+    gain_error : half-width of the gain's interval as a share of it; None: nothing is known of it
+    phase_error : half-width of the phase's interval, degrees
+    measured : read from an oscillation's own phasors, not from a model or a describing function
     """
 
     gain: float
     phase_deg: float
     period: float
+    gain_error: float | None = None
+    phase_error: float | None = None
+    measured: bool = False
 
     @property
     def ku(self) -> float | None:
@@ -46,9 +54,6 @@ class CriticalPoint:
     @property
     def value(self) -> complex:
         """The point as a complex number."""
-        from cmath import rect
-        from math import radians
-
         return rect(self.gain, radians(self.phase_deg))
 
 
@@ -69,17 +74,51 @@ def corrected(cycle: LimitCycle, complex_coulomb: complex) -> CriticalPoint:
     return _point(-1 / complex(n), cycle.period)
 
 
-def from_model(inertia: float, viscous: float, dead_time: float, period: float) -> CriticalPoint:
-    """The point of the identified rigid axis, e^(−jωτ)/(−J·ω² + j·ω·B), at a period."""
+def from_model(
+    inertia: Estimate, viscous: Estimate, dead_time: Estimate, period: float
+) -> CriticalPoint:
+    """The point of the identified rigid axis, e^(−jωτ)/(−J·ω² + j·ω·B), at a period, s."""
     w = 2 * pi / period
-    value = 1 / complex(-inertia * w * w, viscous * w)
-    point = _point(value, period)
-    phase_deg = (point.phase_deg - degrees(w * dead_time)) % -360
-    return CriticalPoint(point.gain, phase_deg, period)
+    known = (inertia, viscous, dead_time)
+    gain, turned = _rigid(*(e.value for e in known), w)
+    by_gain = by_phase = 0.0
+    for which in range(len(known)):
+        ends = [
+            _rigid(*(getattr(e, end if n == which else "value") for n, e in enumerate(known)), w)
+            for end in ("low", "high")
+        ]
+        by_gain += max(abs(other / gain - 1) for other, _ in ends) ** 2
+        by_phase += max(abs(other - turned) for _, other in ends) ** 2
+    return CriticalPoint(gain, turned % -360, period, sqrt(by_gain), sqrt(by_phase))
+
+
+def _rigid(inertia: float, viscous: float, dead_time: float, w: float) -> tuple[float, float]:
+    """Gain, rad/(N.m) or m/N, and phase, degrees, of a rigid axis at ω = `w` rad/s."""
+    stiffness = complex(-inertia * w * w, max(viscous, 0.0) * w)
+    return 1 / abs(stiffness), -degrees(phase(stiffness)) - degrees(w * dead_time)
+
+
+def at_phase(
+    inertia: Estimate, viscous: Estimate, dead_time: Estimate, phase_deg: float
+) -> CriticalPoint | None:
+    """The point of the identified rigid axis at a phase in (−270, −90)°, None where it has none.
+
+    The phase falls from −90° at standstill to −180°, and on only by the dead time: without viscous
+    friction there is nothing above −180°, without dead time nothing from there on.
+    """
+    j, b, tau = inertia.value, viscous.value, dead_time.value
+    if not b > 0 or (phase_deg <= -180 and not tau > 0):
+        return None
+    from scipy.optimize import brentq
+
+    w = brentq(  # in the logarithm: the range is as wide as axes are different
+        lambda x: _rigid(j, b, tau, exp(x))[1] - phase_deg, log(1e-6 * b / j), log(1e6 * b / j)
+    )
+    return from_model(inertia, viscous, dead_time, 2 * pi / exp(float(w)))
 
 
 def of_plant(value: complex, period: float) -> CriticalPoint:
-    """A measured point of the frequency response."""
+    """A point of the frequency response that is known as a complex number."""
     return _point(value, period)
 
 

@@ -23,7 +23,7 @@ from commissioning.identification.windows import (
     Windows,
 )
 
-__all__ = ["WIDTHS", "Fit", "Fitter"]
+__all__ = ["WIDTHS", "Fit", "Fitter", "friction_in"]
 
 Array = NDArray[np.float64]
 
@@ -147,7 +147,7 @@ class Fitter:
             model = Model(inertia, float(solution[1]), float(solution[2]), delay)
             if not inertia > 0:
                 break
-            moved = motion.update(model, _friction(law, solution[_COULOMB:-1]), by)
+            moved = motion.update(model, friction_in(law, solution[_COULOMB:-1]), by)
             if moved < 1e-3 * self.step and abs(solution[-1]) < 1e-3 * self.step:
                 break
         problem = self._problem(motion, law, delay, inertia)
@@ -182,7 +182,7 @@ class Fitter:
         """The motion as a fit has it."""
         motion = Motion(self.record, fit.instants, self._begin[1], self.period)
         for _ in range(_SETTLING_PASSES):
-            motion.update(fit.model, _friction(fit.law, fit.coefficients), "nothing")
+            motion.update(fit.model, friction_in(fit.law, fit.coefficients), "nothing")
         return motion
 
     def with_rung(self, fit: Fit, rung: Rung) -> Fit | None:
@@ -308,7 +308,7 @@ class Fitter:
         return result
 
 
-def _friction(law: Law, coefficients: Array) -> Callable[[Cells], Array]:
+def friction_in(law: Law, coefficients: Array) -> Callable[[Cells], Array]:
     """Friction torque in the cells."""
     return lambda cells: np.asarray(law.terms(cells) @ coefficients, np.float64)
 

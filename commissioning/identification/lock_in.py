@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +45,6 @@ class Phasors:
     mean_torque, mean_sign : (periods,) DC of U and of S
     period : s
     half_swing : rad or m, largest distance from the middle, half of peak to peak
-    used : (periods,) whether a period is sound
     """
 
     torque: Complex
@@ -56,13 +54,12 @@ class Phasors:
     mean_sign: Array
     period: float
     half_swing: float
-    used: NDArray[np.bool_]
 
     def chosen(self, keep: NDArray[np.bool_]) -> Phasors:
         """The periods that are kept."""
         return Phasors(
             self.torque[keep], self.position[keep], self.sign[keep], self.mean_torque[keep],
-            self.mean_sign[keep], self.period, self.half_swing, self.used[keep],
+            self.mean_sign[keep], self.period, self.half_swing,
         )  # fmt: skip
 
 
@@ -137,28 +134,14 @@ def phasors(
     w = 2 * pi / period * harmonics
     position = position - 2 / (period * w**2) * (faster + 1j * w * drift)
     return Phasors(
-        _of_steps(torque, starts, period, harmonics),
+        torque.fourier(starts, period, harmonics),
         position,
-        _of_steps(sign, starts, period, harmonics),
+        sign.fourier(starts, period, harmonics),
         (torque.integral(starts + period) - torque.integral(starts)) / period,
         (sign.integral(starts + period) - sign.integral(starts)) / period,
         period,
         float(np.mean(np.ptp(y, axis=1)) / 2),
-        np.ones(count, bool),
     )
-
-
-def _of_steps(signal: Steps, starts: Array, period: float, harmonics: NDArray[Any]) -> Complex:
-    """Fourier coefficients of a piecewise constant signal, exactly."""
-    found = np.zeros((len(starts), len(harmonics)), complex)
-    for row, start in enumerate(starts):
-        inside = signal.breaks[(signal.breaks > start) & (signal.breaks < start + period)]
-        edges = np.concatenate(([start], inside, [start + period]))
-        values = signal.at(0.5 * (edges[1:] + edges[:-1]))
-        angle = 2j * pi / period * harmonics
-        turned = np.exp(-np.outer(edges - start, angle))
-        found[row] = 2 / period * (values @ ((turned[:-1] - turned[1:]) / angle))
-    return found
 
 
 def balance(first: Phasors, second: Phasors, harmonic: int = 0) -> Balance:
@@ -253,7 +236,7 @@ def _numbers(first: Phasors, second: Phasors) -> tuple[tuple[str, ...], Array]:
 
 def _sound(first: Phasors, second: Phasors) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Periods that obey the balance of all others: a late switching alone spoils none."""
-    kept = (first.used.copy(), second.used.copy())
+    kept = tuple(np.ones(len(p.mean_sign), bool) for p in (first, second))
     for _ in range(3):
         pair = tuple(p.chosen(keep) for p, keep in zip((first, second), kept, strict=True))
         if min(len(p.mean_sign) for p in pair) < _FEWEST:
@@ -265,7 +248,7 @@ def _sound(first: Phasors, second: Phasors) -> tuple[NDArray[np.bool_], NDArray[
             miss = np.abs(rest) / np.abs(y)
             usual = float(np.median(miss[kept[n]]))
             kept[n][miss > max(_OUTLIER * usual, _ALWAYS_SOUND)] = False
-    return kept
+    return kept[0], kept[1]
 
 
 def _without(phasor: Phasors, number: int) -> Phasors:

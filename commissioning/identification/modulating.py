@@ -24,7 +24,7 @@ from commissioning.identification.fitting import Fit, Fitter
 from commissioning.identification.friction_laws import Law, Rung, curve
 from commissioning.identification.record import Kinematics, Record, kinematics, rests
 
-__all__ = ["SUSPICIOUS", "ModulatingEstimate", "estimate", "refined_kinematics"]
+__all__ = ["EXPLAINS", "SUSPICIOUS", "ModulatingEstimate", "estimate", "refined_kinematics"]
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ _BETTER, _BETTER_THAN_SUSPICIOUS = 0.6, 0.9
 SUSPICIOUS = 0.08  # of a sample: reversals so far from zero velocity make up for an incomplete law
 # share of the torque below which nothing is left that one more term could explain, a second one more
 _EXPLAINED = 1e-3, 3e-3
-_EXPLAINS = 0.03  # of the torque: a model that leaves more says nothing about reversals
+EXPLAINS = 0.03  # of the torque: a model that leaves more says nothing about reversals
 _REACHED = 1.5  # of the slope that a sigmoid still has at the peak speed
 _SHAPE = 0.004  # of f: what a shape parameter that is searched for may take or give
 
@@ -49,8 +49,7 @@ class ModulatingEstimate:
     viscous : N.m.s/rad or N.s/m
     inertia : kg.m2 or kg
     dead_time : s
-    law : friction law that the record asks for
-    coefficients : of its terms
+    fit : friction law that the record asks for, its coefficients, and the model of the axis
     low_speed : friction at the lowest speed that the law resolves, where compensation acts, N.m or N
     peak_speed : largest speed of the record, rad/s or m/s
     residual, held_out, rigid_residual : what is left as a share of the torque: of the law, on periods
@@ -69,8 +68,7 @@ class ModulatingEstimate:
     viscous: Estimate
     inertia: Estimate
     dead_time: Estimate
-    law: Law
-    coefficients: Array
+    fit: Fit
     low_speed: float
     peak_speed: float
     residual: float
@@ -85,19 +83,27 @@ class ModulatingEstimate:
     windows: int
     reversals: int
 
+    @property
+    def law(self) -> Law:
+        """Friction law."""
+        return self.fit.law
+
+    @property
+    def coefficients(self) -> Array:
+        """Of the terms of the law."""
+        return self.fit.coefficients
+
     def curve(self, speed: Array) -> Array:
         """Friction against speed, mean of both directions, (n,) N.m or N."""
         return curve(self.law, self.coefficients, self.viscous.value, speed)
 
 
-def estimate(
-    record: Record, *, ladder: bool = True, any_motion: bool = False
-) -> ModulatingEstimate:
+def estimate(record: Record, *, any_motion: bool = False) -> ModulatingEstimate:
     """Fit the record; raises ValueError when it is too short.
 
-    Two amplitudes are needed in the record to tell Coulomb from viscous friction. `ladder`: look for a
-    richer friction law where Coulomb friction leaves something unexplained. `any_motion`: the record is
-    no oscillation; windows of many widths are used, none in which the axis rests.
+    Two amplitudes are needed in the record to tell Coulomb from viscous friction. A richer friction law
+    is looked for where Coulomb friction leaves something unexplained. `any_motion`: the record is no
+    oscillation; windows of many widths are used, none in which the axis rests.
     """
     fitter = Fitter(record)
     if any_motion:
@@ -105,10 +111,8 @@ def estimate(
         count = max(int(np.log(0.5 * samples / _FEW_SAMPLES) / np.log(1 / _NARROWER)) + 1, 2)
         shares = tuple(float(x) for x in 0.5 * _NARROWER ** np.arange(count))
         fitter = Fitter(record, shares, rests(record))
-    rigid = best = fitter.fit(Law())
-    if ladder:
-        best = _climb(fitter, rigid)
-    return _numbers(fitter, best, rigid)
+    rigid = fitter.fit(Law())
+    return _numbers(fitter, _climb(fitter, rigid), rigid)
 
 
 def _numbers(fitter: Fitter, fit: Fit, rigid: Fit) -> ModulatingEstimate:
@@ -125,15 +129,17 @@ def _numbers(fitter: Fitter, fit: Fit, rigid: Fit) -> ModulatingEstimate:
     model = fit.model
     shaped = fit.law.soft is not None or fit.law.stribeck is not None
     share = 5e-4 + 2 * fit.lateness + (_SHAPE if shaped else 0.0)
-    if (
-        fit.law.soft is not None
-    ):  # the level of a sigmoid that the speed does not reach is extrapolated
-        share += min(_REACHED / float(np.cosh(min(peak / fit.law.soft, 50.0))) ** 2, 0.25)
+    beyond = 0.0
+    if fit.law.soft is not None:  # a level that the speed does not reach is extrapolated
+        beyond = min(_REACHED / float(np.cosh(min(peak / fit.law.soft, 50.0))) ** 2, 0.25)
+    share += beyond
     return ModulatingEstimate(
         coulomb=Estimate.around(f, float(errors[3]), f * share + 0.5 * left + 0.25 * widths),
         offset=Estimate.around(model.offset, float(errors[2]), 5e-4 * f + 0.3 * left),
         viscous=Estimate.around(
-            model.viscous, float(errors[1]), 2e-3 * abs(model.viscous) + left / peak
+            model.viscous,
+            float(errors[1]),
+            2e-3 * abs(model.viscous) + (left + 2 * beyond * f) / peak,
         ),
         inertia=Estimate.around(
             model.inertia,
@@ -145,8 +151,7 @@ def _numbers(fitter: Fitter, fit: Fit, rigid: Fit) -> ModulatingEstimate:
             float(errors[-1]),
             0.01 * fitter.step + 0.02 * model.dead_time,
         ),
-        law=fit.law,
-        coefficients=fit.coefficients,
+        fit=fit,
         low_speed=low,
         peak_speed=peak,
         residual=fit.residual,
@@ -173,7 +178,7 @@ def refined_kinematics(record: Record) -> Kinematics:
     except ValueError:
         return kinematics(record)
     fit = fitter.fit(Law())
-    if not fit.held_out < _EXPLAINS:
+    if not fit.held_out < EXPLAINS:
         return kinematics(record)
     motion = fitter.motion_of(fit)
     return Kinematics(motion.instants, motion.begins, motion.speed)

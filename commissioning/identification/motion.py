@@ -136,6 +136,10 @@ class Motion:
         """Sign of the velocity."""
         return Steps.sign(float(self._time[0]), self.begins, self.instants)
 
+    def position(self, time: Array) -> Array:
+        """Position at instants of the record, rad or m, of the last update."""
+        return self._position(time) + self._level
+
     def update(
         self, model: Model, friction_in: Callable[[Cells], Array], by: Turning = "speed"
     ) -> float:

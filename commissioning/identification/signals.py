@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 __all__ = ["Steps", "hat_moments"]
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 
 class Steps:
@@ -61,6 +62,21 @@ class Steps:
         k, x = self._piece(time)
         result: Array = self._first[k] + self.values[k] * x
         return result
+
+    def fourier(self, starts: Array, period: float, harmonics: NDArray[Any]) -> Complex:
+        """Coefficients over the periods that begin at `starts`, each about its own begin, exactly.
+
+        (periods, harmonics); a cosine of half-swing a has the coefficient a.
+        """
+        found = np.zeros((len(starts), len(harmonics)), complex)
+        angle = 2j * np.pi / period * harmonics
+        for row, start in enumerate(starts):
+            inside = self.breaks[(self.breaks > start) & (self.breaks < start + period)]
+            edges = np.concatenate(([start], inside, [start + period]))
+            values = self.at(0.5 * (edges[1:] + edges[:-1]))
+            turned = np.exp(-np.outer(edges - start, angle))
+            found[row] = 2 / period * (values @ ((turned[:-1] - turned[1:]) / angle))
+        return found
 
     def double_integral(self, time: Array) -> Array:
         """∬ from the first break, (n,)."""

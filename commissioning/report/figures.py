@@ -148,12 +148,14 @@ def nyquist(result: dict[str, Any]) -> str:
             ("corrected", "o", "corrected"),
         ):
             point = points[key]
+            if point is None:
+                continue
             angle = np.radians(point["phase_deg"])
             axes.plot(
                 point["gain"] * np.cos(angle), point["gain"] * np.sin(angle), marker=marker, ls="",
                 ms=7, mfc="none", mew=1.6, color="black", label=f"G(jω), {label}",
             )  # fmt: skip
-        largest = 1.6 * max(points[key]["gain"] for key in ("naive", "hysteresis", "corrected"))
+        largest = 1.6 * max(points[key]["gain"] for key in ("naive", "corrected") if points[key])
         axes.set_xlim(-largest, 0.15 * largest)
         axes.set_ylim(-0.75 * largest, 0.55 * largest)
         axes.axhline(0, color=GREY, lw=0.8)

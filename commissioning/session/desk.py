@@ -30,6 +30,7 @@ class Options:
     method: str = "auto"
     solver: str = "bracket"
     repeat: int = 1
+    points: bool = False
     output_filter: float | None = None
     cycle: float | None = None
     without_watchdog: bool = False

@@ -13,9 +13,6 @@ from commissioning.identification.critical_point import (
     CriticalPoint,
     corrected,
     friction_of,
-    from_model,
-    hysteresis_only,
-    of_plant,
 )
 from commissioning.identification.estimate import Estimate
 from commissioning.identification.verdict import (
@@ -195,8 +192,8 @@ def _fill(
     result["friction"] = friction_json(
         measured.method, estimates, axis, drive.profile, drive.scaling
     )
-    right, complex_coulomb = _right_point(measured, estimates)
-    result["critical_point"] = critical_points(measured.relay, right)
+    right, complex_coulomb = _right_point(measured)
+    result["critical_point"] = critical_points(measured, right)
     experiment = _experiment(recorder, drive.cycle, measured.periods)
     begin = recorder.samples[0].sent
     result["experiment"] = experiment | {
@@ -231,27 +228,15 @@ def _spread(values: list[float]) -> Estimate | None:
     return Estimate(mean, mean - half, mean + half)
 
 
-def _right_point(
-    measured: Measured, estimates: dict[str, Estimate | None]
-) -> tuple[CriticalPoint, complex]:
+def _right_point(measured: Measured) -> tuple[CriticalPoint | None, complex]:
     """The plant at the relay's own frequency, and the friction that puts the relay's locus on it."""
-    relay = measured.relay
-    inertia, viscous, dead_time = (estimates[n] for n in ("inertia", "viscous", "dead_time"))
-    if inertia is None:
-        if measured.method == "phase-locked" and measured.phase_locked is not None:
-            point = of_plant(measured.phase_locked.plant, measured.phase_locked.period)
-            return point, measured.phase_locked.complex_coulomb
+    point = measured.corrected
+    if point is None:
         balance = measured.two_relay or measured.two_relay_delay
-        if balance is None:  # the record shows no inertia, so no point either
-            return hysteresis_only(relay), 0j
-        return corrected(relay, balance.complex_coulomb), balance.complex_coulomb
-    point = from_model(
-        inertia.value,
-        viscous.value if viscous else 0.0,
-        dead_time.value if dead_time else 0.0,
-        relay.period,
-    )
-    return point, friction_of(relay, point)
+        if balance is None:  # nothing explains the record
+            return None, 0j
+        return corrected(measured.relay, balance.complex_coulomb), balance.complex_coulomb
+    return point, friction_of(measured.relay, point)
 
 
 def _reasons(measured: Measured, job: Measurement, cycle: float, method: str) -> list[Reason]:

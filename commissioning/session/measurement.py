@@ -19,6 +19,7 @@ from commissioning.identification.verdict import Units
 from commissioning.runner import Recorder, run
 from commissioning.session.desk import Desk, Options
 from commissioning.session.methods import PACE_IS_LONG, Measured, measure
+from commissioning.session.points import points
 from commissioning.session.preflight import (
     Limits,
     prove_watchdog,
@@ -86,6 +87,7 @@ class Measurement:
         self.units = Units(axis.position_unit, axis.effort_unit)
         self.solver: Solver = "thesis" if options.solver == "thesis" else "bracket"
         self.known: FirstLook
+        self.stopping: Stopping
         self.plan: RelayDesign
         self.envelope = Envelope(
             centre=limits.start,
@@ -158,11 +160,12 @@ class Measurement:
         rest = known.offset
         self.context = replace(self.context, rest=rest)
         self.known = known
-        self._stopping = stopping
+        self.stopping = stopping
         self._rest = rest
         self._design()
         found = [self._once() for _ in range(self.options.repeat)]
         found[-1].repeats = [one.found.coulomb.value for one in found]
+        points(found[-1], self, move=self.options.points)
         return found[-1]
 
     def _once(self) -> Measured:
@@ -179,12 +182,12 @@ class Measurement:
     def _design(self) -> None:
         """Choose the oscillations, and what the envelope must allow for them."""
         pace = LONG if self.options.method in PACE_IS_LONG else SHORT
-        self.plan = design(self.context, self.known, self._stopping, pace)
+        self.plan = design(self.context, self.known, self.stopping, pace)
         self.envelope = replace(
             self.envelope,
             speed=self.limits.speed,
             stage="",
-            stopping=self._stopping,
+            stopping=self.stopping,
             relay_torque=self.plan.most,
         )
 
@@ -223,6 +226,10 @@ class Measurement:
     def run(self, plan: Plan[T]) -> T:
         """Drive a plan to its end, from and to the torque that balances the axis."""
         return self._run(plan, self._rest)
+
+    def heat(self, torque: float, seconds: float) -> float:
+        """Share of the i²t budget that a torque (N.m or N) takes in some seconds."""
+        return max(torque**2 - self.limits.rated**2, 0.0) * seconds / self.envelope.thermal
 
     def record(self, begin: float, end: float) -> Record:
         """What was recorded between two instants (s), a filter in the position signal undone."""

@@ -15,16 +15,20 @@ from commissioning.experiments.oscillations import Oscillations, Stretch, oscill
 from commissioning.experiments.oscillator import Held, Wave
 from commissioning.experiments.plan import Context, Plan
 from commissioning.experiments.relay import Switching
+from commissioning.experiments.stopping import Stopping
 from commissioning.experiments.two_relay import Solver, TwoRelay, two_relay
+from commissioning.identification.critical_point import CriticalPoint, of_plant
 from commissioning.identification.estimate import Estimate
 from commissioning.identification.limit_cycle import LimitCycle
 from commissioning.identification.lock_in import LockIn, Phasors, lock_in, phasors
 from commissioning.identification.modulating import (
+    EXPLAINS,
     ModulatingEstimate,
     estimate,
     refined_kinematics,
 )
 from commissioning.identification.phase_locked import PhaseLocked, phase_locked
+from commissioning.identification.reading import Reader, by_balance
 from commissioning.identification.record import Kinematics, Record
 from commissioning.identification.two_relay import FrictionEstimate, from_cycles
 from commissioning.identification.verdict import (
@@ -38,7 +42,7 @@ from commissioning.identification.verdict import (
 )
 from profiles.errors import MeasurementRejected
 
-__all__ = ["METHODS", "PACE_IS_LONG", "Measured", "Oscillation", "Rig", "measure"]
+__all__ = ["METHODS", "PACE_IS_LONG", "Measured", "Oscillation", "Rig", "Wished", "measure"]
 
 T = TypeVar("T")
 
@@ -63,6 +67,7 @@ class Rig(Protocol):
     plan: RelayDesign
     units: Units
     solver: Solver
+    stopping: Stopping
 
     def run(self, plan: Plan[T]) -> T:
         """Drive a plan to its end."""
@@ -72,6 +77,9 @@ class Rig(Protocol):
 
     def redesign(self, found: ModulatingEstimate) -> bool:
         """Choose the oscillations anew from what a first record tells; False: they were right."""
+
+    def heat(self, torque: float, seconds: float) -> float:
+        """Share of the i²t budget that a torque (N.m or N) takes in some seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,12 +98,30 @@ class Oscillation:
     span: tuple[float, float]
 
 
+@dataclass(frozen=True, slots=True)
+class Wished:
+    """A point at a phase that is wanted.
+
+    Attributes
+    ----------
+    point : None where the axis has none, or where it is not known
+    travel : that measuring it takes, on either side of the start, rad or m; None: not known
+    why_not : why it was not measured, or is not there; '' where it was
+    """
+
+    point: CriticalPoint | None
+    travel: float | None
+    why_not: str
+
+
 @dataclass
 class Measured:
     """What was found, and by what; a method that was not run is None.
 
     `relay`: limit cycle of the relay at d1. `shown`: one oscillation at d1 and one at d2.
-    `record`: what the chosen method read.
+    `record`: what the chosen method read. `corrected`, `second`: the plant read from the phasors of the
+    relay's limit cycle, and of an oscillation of another amplitude at the same frequency; `points`: at the
+    phases that tuning rules ask for.
     """
 
     relay: LimitCycle
@@ -108,6 +134,9 @@ class Measured:
     phase_locked: PhaseLocked | None = None
     lock_in: LockIn | None = None
     modulating: ModulatingEstimate | None = None
+    corrected: CriticalPoint | None = None
+    second: CriticalPoint | None = None
+    points: dict[str, Wished] = field(default_factory=dict)
     reasons: list[Reason] = field(default_factory=list)
     repeats: list[float] = field(default_factory=list)
 
@@ -182,11 +211,15 @@ def _auto(rig: Rig) -> Measured:
     measured.reasons.insert(
         0, Reason(Weight.NOTE, f"{measured.periods} periods, because of {_why(first)}")
     )
+    measured.corrected, measured.second = short.corrected, short.second
     try:
-        measured.lock_in = _balance(record, more, rig)
+        measured.lock_in, second = _balance(record, more, rig)
     except ValueError as error:
         measured.reasons.append(Reason(Weight.DOUBT, f"no exact balance to compare with: {error}"))
         return measured
+    if not first.held_out < EXPLAINS:  # the balance needs no law
+        measured.second = second
+        measured.corrected = _of_relay(short, short.record, measured.lock_in)
     measured.reasons.append(agreement(fast, measured.lock_in, rig.units))
     return measured
 
@@ -219,6 +252,8 @@ def _short(rig: Rig) -> Measured:
     measured = _shown(found, record, periods=periods)
     measured.modulating = fitted
     measured.reasons = of_modulating(fitted, rig.units)
+    if fitted.held_out < EXPLAINS:
+        _read_by_law(measured, fitted)
     return measured
 
 
@@ -233,7 +268,8 @@ def _lock_in(rig: Rig) -> Measured:
     found = _oscillate(rig, _RELAY, (Stretch(1, _SETTLED, _MOST), Stretch(2, _SETTLED, _MOST)))
     record = rig.record(found.begin, found.end)
     measured = _shown(found, record, periods=found.periods)
-    measured.lock_in = _balance(record, found, rig)
+    measured.lock_in, measured.second = _balance(record, found, rig)
+    measured.corrected = _of_relay(measured, record, measured.lock_in)
     measured.reasons = of_lock_in(measured.lock_in, record.resolution, rig.units)
     for number, held in enumerate(found.held, 1):
         if not held.settled:
@@ -246,16 +282,42 @@ def _lock_in(rig: Rig) -> Measured:
     return measured
 
 
-def _balance(record: Record, found: Oscillations, rig: Rig) -> LockIn:
+def _balance(record: Record, found: Oscillations, rig: Rig) -> tuple[LockIn, CriticalPoint]:
+    """The balance of both oscillations, and the plant as the second one shows it."""
     kinematics = refined_kinematics(record)
     first, second = (_phasors(record, kinematics, held) for held in found.held)
-    return lock_in(first, second, record.resolution, rig.context.cycle)
+    solved = lock_in(first, second, record.resolution, rig.context.cycle)
+    return solved, by_balance(second, solved.complex_coulomb, solved.coulomb)
 
 
 def _phasors(record: Record, kinematics: Kinematics, held: Held) -> Phasors:
     """Whole periods of one stretch, from between a reversal and a switching on."""
     count = round((held.end - held.begin) / held.period) - 1
     return phasors(record, kinematics, held.begin + _AWAY * held.period, held.period, count)
+
+
+# -- the plant's point ----------------------------------------------------------------------------
+
+
+def _read_by_law(measured: Measured, found: ModulatingEstimate) -> None:
+    """Relay and oscillator by the law that explains their record."""
+    first, second = measured.shown
+    reader = Reader(measured.record, found, first.cycle.period)
+    measured.corrected = reader.point(*_whole(first))
+    measured.second = reader.point(*_whole(second))
+
+
+def _of_relay(measured: Measured, record: Record, found: LockIn) -> CriticalPoint:
+    """The plant from the relay's limit cycle in `record`, by the exact balance's own friction."""
+    read = phasors(record, refined_kinematics(record), *_whole(measured.shown[0]))
+    return by_balance(read, found.complex_coulomb, found.coulomb)
+
+
+def _whole(shown: Oscillation) -> tuple[float, float, int]:
+    """Begin, period and number of the whole periods of an oscillation."""
+    begin, end = shown.span
+    period = shown.cycle.period
+    return begin, period, max(round((end - begin) / period - 0.2), 1)
 
 
 def _phase_locked(rig: Rig) -> Measured:
@@ -266,7 +328,8 @@ def _phase_locked(rig: Rig) -> Measured:
     measured = _shown(found, record, periods=found.periods)
     kinematics = refined_kinematics(record)
     first, second = (_phasors(record, kinematics, held) for held in found.held)
-    measured.phase_locked = phase_locked(first, second)
+    found_plant = measured.phase_locked = phase_locked(first, second)
+    measured.corrected = of_plant(found_plant.plant, found_plant.period)
     return measured
 
 

@@ -13,14 +13,14 @@ from commissioning.identification.critical_point import (
     naive,
 )
 from commissioning.identification.estimate import Estimate
-from commissioning.identification.limit_cycle import LimitCycle
 from commissioning.identification.lock_in import LockIn
 from commissioning.identification.modulating import ModulatingEstimate
 from commissioning.identification.phase_locked import PhaseLocked
 from commissioning.identification.steady import SteadyFit, SteadyPoint
 from commissioning.identification.two_relay import FrictionEstimate
 from commissioning.identification.verdict import Reason, Weight, verdict
-from commissioning.session.methods import Measured, Oscillation
+from commissioning.session.methods import Measured, Oscillation, Wished
+from commissioning.session.points import TARGETS
 from drivers.scaling import Scaling
 from profiles.axis import Axis
 from profiles.errors import MeasurementRejected
@@ -45,6 +45,7 @@ def units(axis: Axis) -> dict[str, str]:
         "inertia": "kg.m2" if p == "rad" else "kg",
         "dead_time": "s",
         "gain": f"{p}/({e})" if p == "rad" else f"{p}/{e}",
+        "stiffness": f"{e}/{p}",
     }
 
 
@@ -244,25 +245,37 @@ def cycles_json(shown: Sequence[Oscillation]) -> list[dict[str, Any]]:
     ]
 
 
-def critical_points(cycle: LimitCycle, right: CriticalPoint) -> dict[str, Any]:
-    """Naive, hysteresis-only and corrected point (`right`) at the relay's own frequency."""
+def critical_points(measured: Measured, right: CriticalPoint | None) -> dict[str, Any]:
+    """The readings at the relay's own frequency (`right`: the corrected one), and the points wanted."""
+    wanted = {key: _wished_json(measured.points.get(key)) for key in TARGETS}
     return {
-        "naive": _point_json(naive(cycle)),
-        "hysteresis": _point_json(hysteresis_only(cycle)),
+        "naive": _point_json(naive(measured.relay)),
+        "hysteresis": _point_json(hysteresis_only(measured.relay)),
         "corrected": _point_json(right),
-        "measured": None,
-        "at_180": None,
-        "at_135": None,
+        "measured": _point_json(measured.second),
+        **wanted,
     }
 
 
-def _point_json(point: CriticalPoint) -> dict[str, Any]:
+def _wished_json(wished: Wished | None) -> dict[str, Any] | None:
+    found = _point_json(wished.point) if wished is not None else None
+    return found and {**found, "travel_needed": wished.travel if wished else None}
+
+
+def _point_json(point: CriticalPoint | None) -> dict[str, Any] | None:
+    if point is None:
+        return None
+    gain, phase = point.gain_error, point.phase_error
     return {
         "gain": point.gain,
+        "gain_low": None if gain is None else point.gain * max(1 - gain, 0.0),
+        "gain_high": None if gain is None else point.gain * (1 + gain),
         "phase_deg": point.phase_deg,
+        "phase_low_deg": None if phase is None else point.phase_deg - phase,
+        "phase_high_deg": None if phase is None else point.phase_deg + phase,
         "period": point.period,
         "ku": point.ku,
-        "how": "computed",
+        "how": "measured" if point.measured else "computed",
     }
 
 

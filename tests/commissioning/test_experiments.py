@@ -6,6 +6,7 @@ from collections.abc import Callable
 from math import cos, pi, sin
 from typing import Any
 
+import numpy as np
 import pytest
 
 from commissioning.experiments.oscillator import Oscillator
@@ -94,6 +95,61 @@ def test_a_series_elastic_axis_is_not_called_good(run: Identify) -> None:
     assert result["quality"]["verdict"] == "usable"
     assert result["friction"]["coulomb"]["value"] == pytest.approx(7.0, rel=0.03)
     assert result["friction"]["coulomb"]["low"] <= 7.0 <= result["friction"]["coulomb"]["high"]
+
+
+def plant_of(link: str, period: float) -> complex:
+    """The virtual axis between torque in force and position."""
+    found = parse(link)
+    axis, s = configured(found.place, found.options), 2j * pi / period
+    return complex(
+        np.exp(-s * axis.delay) / (1 + s * axis.lag) / (axis.inertia * s**2 + axis.viscous * s)
+    )
+
+
+@pytest.mark.parametrize(
+    "name", ["bench", "thesis-motor", "emps", "epos-worm", "ur10e", "vertical", "erob"]
+)
+@pytest.mark.parametrize("cycle", [0.001, 0.01])
+def test_the_plant_is_read_right_where_the_naive_reading_is_far_off(
+    run: Identify, name: str, cycle: float
+) -> None:
+    link = f"virtual://{name}?delay={max(cycle, 0.002)}"
+    points = run(link, cycle=cycle, points=True)["critical_point"]
+    for key, gain, turned in (
+        ("corrected", 0.03, 2.0),
+        ("measured", 0.02, 1.5),
+        ("at_180", 0.02, 1.5),
+    ):
+        point = points[key]
+        truth = plant_of(link, point["period"])
+        off = (point["phase_deg"] - np.degrees(np.angle(truth)) + 180) % 360 - 180
+        assert point["gain"] == pytest.approx(abs(truth), rel=gain), key
+        assert abs(off) < turned, key
+        assert point["gain_low"] <= abs(truth) <= point["gain_high"], key
+        assert abs(off) <= point["phase_high_deg"] - point["phase_deg"], key
+    assert points["at_180"]["phase_deg"] == pytest.approx(-180, abs=0.5)
+    assert points["naive"]["gain"] < 0.75 * abs(plant_of(link, points["naive"]["period"]))
+
+
+def test_a_point_that_the_travel_allows_is_measured_and_else_the_travel_is_named(
+    run: Identify,
+) -> None:
+    near, far = (run("virtual://bench", travel=travel, points=True) for travel in (3.0, 80.0))
+    assert near["critical_point"]["at_135"]["how"] == "computed"
+    needed = near["critical_point"]["at_135"]["travel_needed"]
+    assert 30 < needed < 80
+    assert any(f"that takes ±{needed:.3g} rad of travel" in r for r in near["quality"]["reasons"])
+    assert far["critical_point"]["at_135"]["how"] == "measured"
+    assert far["critical_point"]["at_135"]["phase_deg"] == pytest.approx(-135, abs=1)
+    assert far["experiment"]["travel"] < 2 * far["critical_point"]["at_135"]["travel_needed"]
+
+
+def test_an_axis_without_dead_time_has_no_point_at_180_degrees_and_that_is_said(
+    run: Identify,
+) -> None:
+    result = run("virtual://bench?delay=0", points=True)
+    assert result["critical_point"]["at_180"] is None
+    assert any("plant at -180° is not known" in r for r in result["quality"]["reasons"])
 
 
 @pytest.mark.parametrize(

@@ -8,16 +8,25 @@ import numpy as np
 import pytest
 
 from commissioning.identification.critical_point import (
+    at_phase,
     corrected,
     friction_of,
     from_model,
     hysteresis_only,
     naive,
 )
+from commissioning.identification.estimate import Estimate
 from commissioning.identification.limit_cycle import LimitCycle, measure, periods_of
 from commissioning.identification.two_relay import from_cycles
 
 from .axis import matched
+
+
+def exactly(value: float) -> Estimate:
+    return Estimate(value, value, value)
+
+
+BENCH = exactly(1e-3), exactly(2e-3), exactly(0.002)
 
 
 def cycle_with(half_swing: float, d: float, eps: float, period: float = 0.2) -> LimitCycle:
@@ -45,7 +54,7 @@ def test_friction_without_hysteresis_turns_the_point_beyond_180_degrees() -> Non
 
 def test_the_friction_that_puts_a_cycle_on_a_point_gives_that_point_back() -> None:
     cycle = cycle_with(0.3, 0.5, 0.15)
-    point = from_model(1e-3, 2e-3, 0.002, 0.2)
+    point = from_model(*BENCH, 0.2)
     again = corrected(cycle, friction_of(cycle, point))
     assert again.gain == pytest.approx(point.gain)
     assert again.phase_deg == pytest.approx(point.phase_deg)
@@ -54,9 +63,52 @@ def test_the_friction_that_puts_a_cycle_on_a_point_gives_that_point_back() -> No
 def test_the_point_of_a_model_is_its_frequency_response() -> None:
     w = 2 * pi / 0.2
     value = np.exp(-1j * w * 0.002) / (1e-3 * (1j * w) ** 2 + 2e-3 * 1j * w)
-    point = from_model(1e-3, 2e-3, 0.002, 0.2)
+    point = from_model(*BENCH, 0.2)
     assert point.gain == pytest.approx(abs(value))
     assert point.phase_deg == pytest.approx(np.degrees(np.angle(value)) % -360)
+
+
+@pytest.mark.parametrize("phase", [-135.0, -160.0, -180.0, -190.0])
+def test_a_point_at_a_phase_lies_there(phase: float) -> None:
+    point = at_phase(*BENCH, phase)
+    assert point is not None
+    s = 2j * pi / point.period
+    plant = np.exp(-s * 0.002) / (1e-3 * s**2 + 2e-3 * s)
+    assert abs(plant) == pytest.approx(point.gain)
+    assert np.degrees(np.angle(plant)) % -360 == pytest.approx(phase % -360, abs=1e-6)
+
+
+def test_where_damping_and_delay_are_equal_in_phase_the_plant_is_at_180_degrees() -> None:
+    # atan(ωJ/B) + ωτ = 90° at ω = 10 rad/s, if J/B·10 = 1 and 10·τ = π/4
+    point = at_phase(exactly(0.1), exactly(1.0), exactly(pi / 40), -180.0)
+    assert point is not None
+    assert point.period == pytest.approx(2 * pi / 10)
+    assert point.gain == pytest.approx(1 / abs(-0.1 * 100 + 10j))
+    assert point.ku == pytest.approx(1 / point.gain)
+
+
+def test_a_rigid_axis_without_dead_time_has_no_point_at_180_degrees() -> None:
+    assert at_phase(exactly(1e-3), exactly(2e-3), exactly(0.0), -180.0) is None
+    assert at_phase(exactly(1e-3), exactly(2e-3), exactly(0.0), -179.0) is not None
+
+
+def test_a_rigid_axis_without_viscous_friction_has_no_point_above_180_degrees() -> None:
+    assert at_phase(exactly(1e-3), exactly(0.0), exactly(0.002), -135.0) is None
+
+
+def test_the_interval_of_a_computed_point_covers_the_axes_that_the_model_allows() -> None:
+    spread = [Estimate(e.value, 0.95 * e.value, 1.05 * e.value) for e in BENCH]
+    point = at_phase(*spread, -180.0)
+    assert point is not None
+    assert point.gain_error == pytest.approx(0.05, abs=0.01)  # the inertia's
+    for factors in ((1.05, 1, 1), (1, 1.05, 1), (1, 1, 1.05), (0.95, 1, 1)):
+        j, b, tau = (e.value * k for e, k in zip(BENCH, factors, strict=True))
+        s = 2j * pi / point.period
+        other = np.exp(-s * tau) / (j * s**2 + b * s) / point.value
+        assert point.gain_error is not None
+        assert point.phase_error is not None
+        assert abs(abs(other) - 1) <= 1.001 * point.gain_error
+        assert abs(np.degrees(np.angle(other))) <= 1.001 * point.phase_error
 
 
 def test_the_corrected_point_is_the_plant_where_the_naive_one_is_far_off() -> None:

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from commissioning.identification.fitting import Fitter
+from commissioning.identification.friction_laws import Law
 from commissioning.identification.lock_in import Phasors, balance, lock_in, phasors
-from commissioning.identification.modulating import estimate
 from commissioning.identification.oscillation import pair, steady_oscillations
 from commissioning.identification.phase_locked import phase_locked, solve
 from commissioning.identification.record import Kinematics, Record, kinematics, reversals
@@ -60,7 +61,7 @@ def random_phasors(count: int, plant: complex, friction: complex, size: float) -
     sign = 4 / np.pi * np.exp(1j * (1.2 + rng.normal(0.0, 0.05, (count, 3))))
     return Phasors(
         torque, plant * (torque - friction * sign), sign, np.zeros(count), np.zeros(count), 0.1,
-        1.0, np.ones(count, bool),
+        1.0,
     )  # fmt: skip
 
 
@@ -75,9 +76,7 @@ def test_any_linear_plant_drops_out() -> None:
 
 def test_one_period_each_is_the_closed_form() -> None:
     a, b = (random_phasors(1, 0.3j, 0.05, size) for size in (0.2, 0.4))
-    b = Phasors(
-        b.torque * np.exp(0.3j), b.position, b.sign, b.mean_torque, b.mean_sign, 0.1, 1.0, b.used
-    )
+    b = Phasors(b.torque * np.exp(0.3j), b.position, b.sign, b.mean_torque, b.mean_sign, 0.1, 1.0)
     (u1, y1, s1), (u2, y2, s2) = ((p.torque[0, 0], p.position[0, 0], p.sign[0, 0]) for p in (a, b))
     closed = (y1 * u2 - y2 * u1) / (y1 * s2 - y2 * s1)
     assert balance(a, b).friction == pytest.approx(closed)
@@ -107,8 +106,8 @@ def test_a_resonant_axis_has_its_friction_where_no_rigid_model_has() -> None:
     exact = lock_in(first, second, 1e-6, 0.001)
     assert exact.coulomb.value == pytest.approx(0.1, rel=0.01)
     assert exact.coulomb.low <= 0.1 <= exact.coulomb.high
-    rigid = estimate(record.between(5.0, 16.0), ladder=False)
-    assert abs(rigid.coulomb.value / 0.1 - 1) > 0.02, "the rigid model is wrong here"
+    rigid = Fitter(record.between(5.0, 16.0)).fit(Law())
+    assert abs(rigid.coefficients[0] / 0.1 - 1) > 0.02, "the rigid model is wrong here"
     assert rigid.held_out > 0.03, "and its residual says so"
 
 
@@ -131,7 +130,7 @@ def test_phase_locked_is_the_balance_of_first_harmonics() -> None:
     made = [
         Phasors(
             np.full((4, 3), uu), np.full((4, 3), yy), np.ones((4, 3), complex), np.full(4, 0.02),
-            np.zeros(4), 0.1, abs(yy), np.ones(4, bool),
+            np.zeros(4), 0.1, abs(yy),
         )
         for uu, yy in zip(u, y, strict=True)
     ]  # fmt: skip

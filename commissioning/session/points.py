@@ -1,0 +1,168 @@
+"""The plant at −180° and at −135°: measured where the axis allows it, else computed from the model.
+
+The model says at which period the phase is wanted; an oscillation is held there and read with phasors,
+and where the phase that it shows is another one, the period is corrected and the oscillation repeated.
+"""
+
+from __future__ import annotations
+
+from math import pi, radians, sin
+
+from commissioning.experiments.at_period import Wanted, oscillate_at
+from commissioning.experiments.design import travel_needed
+from commissioning.identification.critical_point import CriticalPoint, at_phase
+from commissioning.identification.estimate import Estimate
+from commissioning.identification.lock_in import phasors
+from commissioning.identification.modulating import EXPLAINS
+from commissioning.identification.reading import Reader, by_balance
+from commissioning.identification.record import kinematics
+from commissioning.identification.verdict import Reason, Weight
+from commissioning.session.methods import Measured, Rig, Wished
+from profiles.errors import MeasurementRejected
+
+__all__ = ["TARGETS", "computed", "points"]
+
+TARGETS = {"at_180": -180.0, "at_135": -135.0}
+
+_FEWEST_CYCLES = 10  # a period
+_LONGEST = 4.0  # s
+_SPEED_SHARE = 0.8  # of the speed limit, at the peak
+_FEWEST_COUNTS = 60  # encoder counts of half-swing
+_HEAT_SHARE = 0.5  # of the i²t budget
+_PERIODS = 20  # that an oscillation takes at most, with its start
+_NEAR = 0.4  # degrees from the phase that is wanted
+_TRIES = 3
+
+
+def computed(model: dict[str, Estimate | None], phase: float) -> Wished:
+    """The point of the identified rigid axis."""
+    names = {"inertia": "inertia", "viscous": "viscous friction", "dead_time": "dead time"}
+    unknown = [text for name, text in names.items() if model.get(name) is None]
+    if unknown:
+        return Wished(None, None, f"{', '.join(unknown)} not known")
+    inertia, viscous, dead_time = (model[name] for name in names)
+    assert inertia is not None
+    assert viscous is not None
+    assert dead_time is not None
+    if viscous.low <= 0:
+        return Wished(
+            None, None, "viscous friction is zero within its interval: the plant stays below"
+        )
+    if phase <= -180 and dead_time.low <= 0:
+        return Wished(
+            None,
+            None,
+            "the dead time is zero within its interval: a rigid axis without one stays above",
+        )
+    point = at_phase(inertia, viscous, dead_time, phase)
+    return Wished(point, None, "not asked for")
+
+
+def points(measured: Measured, rig: Rig, *, move: bool) -> None:
+    """Put both points into `measured`; with `move` measure them, or say why not."""
+    model = {name: measured.estimate(name) for name in ("inertia", "viscous", "dead_time")}
+    for key, phase in TARGETS.items():
+        wished = computed(model, phase)
+        if wished.point is not None and move:
+            wished = _measured(wished.point, phase, measured, rig, model)
+        elif wished.point is not None:
+            _, travel, why_not = _wanted(wished.point, measured, rig)
+            wished = Wished(wished.point, travel, why_not or "not asked for")
+        measured.points[key] = wished
+        if wished.why_not and move:
+            how = "computed from the model" if wished.point else "not known"
+            measured.reasons.append(
+                Reason(Weight.NOTE, f"the plant at {phase:g}° is {how}: {wished.why_not}")
+            )
+
+
+def _measured(
+    guess: CriticalPoint,
+    phase: float,
+    measured: Measured,
+    rig: Rig,
+    model: dict[str, Estimate | None],
+) -> Wished:
+    """Oscillate at the guess' period, and again where the phase is not the wanted one."""
+    point, found, travel = guess, None, None
+    for _ in range(_TRIES):
+        wanted, travel, why_not = _wanted(point, measured, rig)
+        if wanted is None:
+            return Wished(guess, travel, why_not)
+        rig.context.tell(
+            f"the plant at {phase:g}°: oscillation of ±{wanted.amplitude:.4g} "
+            f"{rig.context.effort_unit} at {wanted.period * 1000:.4g} ms"
+        )
+        try:
+            read = _read(wanted, measured, rig)
+        except (MeasurementRejected, ValueError) as error:
+            return Wished(guess, travel, str(error))
+        if found is None or abs(read.phase_deg - phase) < abs(found.phase_deg - phase):
+            found = read
+        if abs(read.phase_deg - phase) <= _NEAR:
+            break
+        # the model's own phase at this period is off by as much
+        expected = point.phase_deg + phase - read.phase_deg
+        again = computed(model, expected).point
+        if again is None or not -270 < expected < -90:
+            break
+        point = again
+    assert found is not None
+    return Wished(found, travel, "")
+
+
+def _wanted(
+    point: CriticalPoint, measured: Measured, rig: Rig
+) -> tuple[Wanted | None, float | None, str]:
+    """The oscillation, the travel that it takes, and why it cannot be had."""
+    context, plan, period = rig.context, rig.plan, point.period
+    p = context.position_unit
+    f = min(measured.found.coulomb.value, 0.9 * plan.d1)
+    switching = f / plan.d1 + max(sin(radians(180 + point.phase_deg)), 0.0)
+    needs: list[tuple[float, Wanted, float]] = []
+    for d in (plan.d2, plan.d1):
+        half_swing = point.gain * 4 / pi * (d * d - f * f) / d
+        peak = 8 * half_swing / period
+        travel = travel_needed(rig.stopping, half_swing, min(switching, 1.0), peak, plan.most)
+        wanted = Wanted(period, d, half_swing, point.gain, measured.relay.bias, plan.most)
+        needs.append((travel, wanted, peak))
+    travel = needs[-1][0]
+    if period < _FEWEST_CYCLES * context.cycle:
+        return None, travel, (
+            f"its period of {period * 1000:.3g} ms is beyond a cycle of {context.cycle * 1000:g} ms "
+            f"({_FEWEST_CYCLES} cycles a period are needed)"
+        )  # fmt: skip
+    if period > _LONGEST:
+        return None, travel, (
+            f"its period of {period:.3g} s is too long, and would take ±{travel:.3g} {p} of travel"
+        )  # fmt: skip
+    why_not = ""
+    for travel, wanted, peak in needs:
+        if travel > context.travel:
+            why_not = (
+                f"that takes ±{travel:.3g} {p} of travel, and ±{context.travel:.3g} {p} is allowed"
+            )
+        elif peak > _SPEED_SHARE * context.speed:
+            why_not = f"that takes {peak:.3g} {p}/s, and {context.speed:.3g} {p}/s is allowed"
+        elif rig.heat(wanted.amplitude, _PERIODS * period) > _HEAT_SHARE:
+            why_not = f"{_PERIODS * period:.3g} s of its torque would be too much for the motor"
+        elif wanted.half_swing < _FEWEST_COUNTS * context.resolution:
+            why_not = f"its half-swing would be {wanted.half_swing / context.resolution:.0f} encoder counts"
+        else:
+            return wanted, travel, ""
+    return None, travel, why_not
+
+
+def _read(wanted: Wanted, measured: Measured, rig: Rig) -> CriticalPoint:
+    """Run the oscillation and read it, by the law that explains the axis or by the balance."""
+    held, end = rig.run(oscillate_at(rig.context, rig.known, wanted))
+    measured.periods += held.periods
+    count = max(round((held.end - held.begin) / held.period - 0.2), 1)
+    record = rig.record(held.begin - held.period, end)
+    law = measured.modulating
+    if law is not None and law.held_out < EXPLAINS:
+        return Reader(record, law, held.period).point(held.begin, held.period, count)
+    if measured.lock_in is None:
+        raise ValueError("no friction law explains this axis")
+    read = phasors(record, kinematics(record), held.begin, held.period, count)
+    return by_balance(read, measured.lock_in.complex_coulomb, measured.lock_in.coulomb)

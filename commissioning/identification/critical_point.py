@@ -6,6 +6,7 @@ The plant is the one between torque in force and position.
 from __future__ import annotations
 
 from cmath import phase, rect
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import degrees, exp, log, pi, radians, sqrt
 
@@ -80,11 +81,11 @@ def from_model(
     """The point of the identified rigid axis, e^(−jωτ)/(−J·ω² + j·ω·B), at a period, s."""
     w = 2 * pi / period
     known = (inertia, viscous, dead_time)
-    gain, turned = _rigid(*(e.value for e in known), w)
+    gain, turned = _rigid([e.value for e in known], w)
     by_gain = by_phase = 0.0
     for which in range(len(known)):
         ends = [
-            _rigid(*(getattr(e, end if n == which else "value") for n, e in enumerate(known)), w)
+            _rigid([getattr(e, end if n == which else "value") for n, e in enumerate(known)], w)
             for end in ("low", "high")
         ]
         by_gain += max(abs(other / gain - 1) for other, _ in ends) ** 2
@@ -92,8 +93,9 @@ def from_model(
     return CriticalPoint(gain, turned % -360, period, sqrt(by_gain), sqrt(by_phase))
 
 
-def _rigid(inertia: float, viscous: float, dead_time: float, w: float) -> tuple[float, float]:
-    """Gain, rad/(N.m) or m/N, and phase, degrees, of a rigid axis at ω = `w` rad/s."""
+def _rigid(axis: Sequence[float], w: float) -> tuple[float, float]:
+    """Gain, rad/(N.m) or m/N, and phase, degrees, of inertia, viscous friction, dead time at `w` rad/s."""
+    inertia, viscous, dead_time = axis
     stiffness = complex(-inertia * w * w, max(viscous, 0.0) * w)
     return 1 / abs(stiffness), -degrees(phase(stiffness)) - degrees(w * dead_time)
 
@@ -112,7 +114,7 @@ def at_phase(
     from scipy.optimize import brentq
 
     w = brentq(  # in the logarithm: the range is as wide as axes are different
-        lambda x: _rigid(j, b, tau, exp(x))[1] - phase_deg, log(1e-6 * b / j), log(1e6 * b / j)
+        lambda x: _rigid((j, b, tau), exp(x))[1] - phase_deg, log(1e-6 * b / j), log(1e6 * b / j)
     )
     return from_model(inertia, viscous, dead_time, 2 * pi / exp(float(w)))
 

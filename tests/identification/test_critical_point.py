@@ -97,14 +97,14 @@ def test_a_rigid_axis_without_viscous_friction_has_no_point_above_180_degrees() 
 
 
 def test_the_interval_of_a_computed_point_covers_the_axes_that_the_model_allows() -> None:
-    spread = [Estimate(e.value, 0.95 * e.value, 1.05 * e.value) for e in BENCH]
-    point = at_phase(*spread, -180.0)
+    j, b, tau = (Estimate(e.value, 0.95 * e.value, 1.05 * e.value) for e in BENCH)
+    point = at_phase(j, b, tau, -180.0)
     assert point is not None
     assert point.gain_error == pytest.approx(0.05, abs=0.01)  # the inertia's
     for factors in ((1.05, 1, 1), (1, 1.05, 1), (1, 1, 1.05), (0.95, 1, 1)):
-        j, b, tau = (e.value * k for e, k in zip(BENCH, factors, strict=True))
+        inertia, damping, delay = (e.value * k for e, k in zip(BENCH, factors, strict=True))
         s = 2j * pi / point.period
-        other = np.exp(-s * tau) / (j * s**2 + b * s) / point.value
+        other = np.exp(-s * delay) / (inertia * s**2 + damping * s) / point.value
         assert point.gain_error is not None
         assert point.phase_error is not None
         assert abs(abs(other) - 1) <= 1.001 * point.gain_error

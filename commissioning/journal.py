@@ -19,7 +19,7 @@ from profiles.errors import JournalError, UnknownName, UsageError
 
 __all__ = ["Intent", "Journal", "RunRecord"]
 
-Kind = Literal["experiment", "compensation"]
+Kind = Literal["experiment", "compensation", "gain"]
 State = Literal["intended", "verified", "restored"]
 
 _SCHEMA_VERSION = 1

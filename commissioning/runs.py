@@ -135,7 +135,7 @@ class RunFolder:
 
 _RESULT_KEYS: dict[str, type | tuple[type, ...]] = {
     "status": str, "axis": str, "units": dict, "friction": dict, "methods": dict,
-    "compensation": list, "quality": dict,
+    "compensation": list, "tuning": list, "quality": dict,
 }  # fmt: skip
 _CHANGE_KEYS: dict[str, type | tuple[type, ...]] = {
     "parameter": str, "old": (int, float), "new": (int, float), "unit": str, "why": str,

@@ -66,6 +66,7 @@ class Scaling:
         return {
             Unit.NONE: "1",
             Unit.SECOND: "s",
+            Unit.PER_SECOND: "1/s",
             Unit.TORQUE: effort,
             Unit.RATED_TORQUE: effort,
             Unit.RATED_TORQUE_PER_SECOND: f"{effort}/s",
@@ -91,6 +92,7 @@ class Scaling:
         return {
             Unit.NONE: 1.0,
             Unit.SECOND: 1.0,
+            Unit.PER_SECOND: 1.0,
             Unit.TORQUE: effort,
             Unit.RATED_TORQUE: self.rated_torque * effort,
             Unit.RATED_TORQUE_PER_SECOND: self.rated_torque * effort,

@@ -104,7 +104,10 @@ def check(profile: Profile) -> list[Finding]:
             seen[cell] = name
     found += [
         Finding("warning", f"[parameters.{name}] is written by apply but unverified")
-        for name in profile.compensation.terms.values()
+        for name in (
+            *profile.compensation.terms.values(),
+            *(profile.loops.terms.values() if profile.loops else ()),
+        )
         if profile.parameters[name].trust == "unverified"
     ]
     if profile.compensation.law != "none":

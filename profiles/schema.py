@@ -20,6 +20,7 @@ __all__ = [
     "Identity",
     "IdentityMatch",
     "LinkDefaults",
+    "LoopGains",
     "ModbusAddress",
     "Mode",
     "Parameter",
@@ -96,6 +97,7 @@ class Unit(StrEnum):
     SPEED = "rad/s"
     RPM = "rpm"
     RATED_TORQUE_PER_SECOND = "rated/s"
+    PER_SECOND = "1/s"
     SECOND = "s"
 
 
@@ -114,6 +116,7 @@ class Protection(StrEnum):
     COMMAND = "command"  # control and set-point: written by the drive's verbs only
     EXPERIMENT = "experiment"  # set for an experiment, put back after it
     COMPENSATION = "compensation"  # what `apply` writes
+    GAIN = "gain"  # of a loop: what `apply --gains` writes
     MAINTENANCE = "maintenance"  # store, simulation clock: by its own procedure only
 
 
@@ -374,6 +377,26 @@ class Compensation(_Strict):
         return self
 
 
+class LoopGains(_Strict):
+    """The drive's own loops: how late they are, and where their gains are written.
+
+    P of the position over PI of the velocity. `dead_time` is from the sample of the position to the
+    torque, the torque loop's lag included and the hold of the loop's own period left out.
+    """
+
+    period: Annotated[float, Field(gt=0)]  # s
+    dead_time: Annotated[float, Field(ge=0)]  # s
+    velocity_gain: str | None = None
+    integral_time: str | None = None
+    position_gain: str | None = None
+
+    @property
+    def terms(self) -> dict[str, str]:
+        """Parameter name of each gain that the profile maps."""
+        names = ("velocity_gain", "integral_time", "position_gain")
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
+
+
 class Brake(_Strict):
     """Holding brake: delays between command and effect, which the drive itself keeps."""
 
@@ -404,6 +427,7 @@ class Profile(_Strict):
     brake: Brake = Brake()
     store: Store | None = None
     compensation: Compensation
+    loops: LoopGains | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -439,6 +463,9 @@ class Profile(_Strict):
         for name in self.compensation.terms.values():
             if self.parameters[name].protection is not Protection.COMPENSATION:
                 raise ValueError(f"[parameters.{name}] must have protection 'compensation'")
+        for name in self.loops.terms.values() if self.loops else ():
+            if self.parameters[name].protection is not Protection.GAIN:
+                raise ValueError(f"[parameters.{name}] must have protection 'gain'")
         return self
 
     def _steps(self) -> list[tuple[str, Step]]:
@@ -457,6 +484,7 @@ class Profile(_Strict):
             found += [(f"modes.{mode}", code.set_point) for code in codes]
         found += [("compensation", name) for name in self.compensation.terms.values()]
         found += [("limits", name) for name in self.limits.values()]
+        found += [("loops", name) for name in (self.loops.terms.values() if self.loops else ())]
         found += [(where, step.write or step.until or "") for where, step in self._steps()]
         if self.watchdog.parameter:
             found.append(("watchdog", self.watchdog.parameter))

@@ -18,6 +18,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "commission": ("commission", "Identify, apply, report."),
     "restore": ("restore", "Put parameters back; finish what a crash interrupted."),
     "stop": ("stop", "Make safe what a dead process left energised."),
+    "tune": ("tune", "Gains from a run or an axis, and what each is worth."),
     "analyze": ("analyze", "Friction from a recording of any tool."),
     "report": ("report", "Write the HTML report of a run."),
     "export": ("export", "Copy a run with its samples and journal to a folder."),

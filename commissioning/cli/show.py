@@ -115,6 +115,85 @@ def points(result: dict[str, Any], screen: Screen) -> None:
             )
 
 
+_LOOPS = {
+    "host": "the loop over this link, its dead time included",
+    "drive": "the drive's own loops, the link's share of the dead time removed",
+}
+
+
+def tuning(result: dict[str, Any], screen: Screen) -> None:
+    """Every rule and what its gains are worth, naive beside corrected; the gains that are proposed."""
+    units = result["units"]
+    for loop, title in _LOOPS.items():
+        sets = [s for s in result["tuning"] if s["loop"] == loop]
+        if not sets:
+            continue
+        columns = [
+            "rule", "from", "phase margin", "Ms", "crosses at rad/s", "step: over, settles",
+            f"stays off by {units['position']}", "",
+        ]  # fmt: skip
+        screen.table(f"{loop}: {title}", columns, [_set_row(s) for s in sets if s["gains"]])
+        missing: dict[str, list[str]] = {}
+        for item in sets:
+            if not item["gains"]:
+                missing.setdefault(item["why_not"], []).append(f"{item['rule']} ({item['source']})")
+        for reason, names in missing.items():
+            screen.say(f"  not here: {', '.join(names)}: {reason}")
+        for item in sets:
+            if item["proposed"]:
+                mark = "best" if item["best"] else "proposed"
+                screen.say(f"  {mark}: {item['rule']}: {gains_text(item, units)}")
+        if not any(item["proposed"] for item in sets):
+            screen.say("  none can be proposed for this loop")
+        for change in next((s["parameters"] for s in sets if s["best"]), ()):
+            screen.say(
+                f"  in the drive: {change['parameter']} = {change['new']:.4g} {change['unit']} "
+                f"({change['new_raw']} x {change['raw_unit']})"
+            )
+
+
+def _set_row(item: dict[str, Any]) -> list[str]:
+    step = item["step"] if item["stable"] else None
+    ends = off = "–"
+    if step:
+        settling = step["settling"]
+        ends = f"{100 * step['overshoot']:.0f} %, " + (
+            f"{1000 * settling:.3g} ms" if settling is not None else "never"
+        )
+        off = f"{step['error']:+.1g}" + (f" ±{step['hunting']:.1g}" if step["hunting"] else "")
+    margin = item["phase_margin_deg"]
+    return [
+        item["rule"],
+        item["source"],
+        f"{margin:.0f}°" if margin is not None else "–",
+        f"{item['ms']:.2f}",
+        f"{item['crossover']:.3g}" if item["crossover"] else "–",
+        ends,
+        off,
+        "best"
+        if item["best"]
+        else "proposed"
+        if item["proposed"]
+        else item["why_not"].split(":")[0],
+    ]
+
+
+_GAINS = {
+    "gain": ("K", "stiffness"), "integral_time": ("Ti", "s"), "derivative_time": ("Td", "s"),
+    "velocity_gain": ("Kv", "viscous"), "position_gain": ("Kp", "1/s"),
+}  # fmt: skip
+
+
+def gains_text(item: dict[str, Any], units: dict[str, str]) -> str:
+    """Gains by name with their units; an integral part that is not there is left out."""
+    found = []
+    for name, value in item["gains"].items():
+        symbol, unit = _GAINS[name]
+        if value:
+            found.append(f"{symbol} = {value:.4g} {units.get(unit, unit)}")
+    return ", ".join(found)
+
+
 def proposal(items: list[dict[str, Any]], screen: Screen) -> None:
     """What would be written."""
     rows = [

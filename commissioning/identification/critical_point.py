@@ -8,7 +8,7 @@ from __future__ import annotations
 from cmath import phase, rect
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import degrees, exp, log, pi, radians, sqrt
+from math import cos, degrees, exp, log, pi, radians, sin, sqrt
 
 from commissioning.identification.describing_function import equivalent, relay
 from commissioning.identification.estimate import Estimate
@@ -17,6 +17,7 @@ from commissioning.identification.limit_cycle import LimitCycle
 __all__ = [
     "CriticalPoint",
     "at_phase",
+    "autotuned",
     "corrected",
     "friction_of",
     "from_model",
@@ -117,6 +118,33 @@ def at_phase(
         lambda x: _rigid((j, b, tau), exp(x))[1] - phase_deg, log(1e-6 * b / j), log(1e6 * b / j)
     )
     return from_model(inertia, viscous, dead_time, 2 * pi / exp(float(w)))
+
+
+def autotuned(
+    inertia: float,
+    viscous: float,
+    dead_time: float,
+    friction_share: float,
+    hysteresis_deg: float,
+) -> tuple[CriticalPoint, CriticalPoint] | None:
+    """What a relay autotuner concludes on a rigid axis with friction, and the plant at that frequency.
+
+    By describing functions: the limit cycle lies where arg G = arg(−1/N), N = d·e^(−jα) + j·f; the
+    autotuner takes N = d·e^(−jα) alone and so |G| for |G|·|N|/d at −180° + α. None where the axis has no
+    such limit cycle.
+
+    Parameters
+    ----------
+    friction_share : f/d
+    hysteresis_deg : α = asin(ε/A), degrees
+    """
+    alpha = radians(hysteresis_deg)
+    both = complex(cos(alpha), friction_share - sin(alpha))
+    j, b, tau = (Estimate(v, v, v) for v in (inertia, viscous, dead_time))
+    truth = at_phase(j, b, tau, -180 - degrees(phase(both)))
+    if truth is None:
+        return None
+    return CriticalPoint(truth.gain * abs(both), hysteresis_deg - 180, truth.period), truth
 
 
 def of_plant(value: complex, period: float) -> CriticalPoint:

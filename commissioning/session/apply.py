@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from commissioning.journal import RunRecord
+from commissioning.journal import Kind, RunRecord
 from commissioning.runs import RunFolder, resolve
 from commissioning.session.desk import Desk, connect, none_unfinished, same_drive
 from commissioning.settings import Restored, Settings, put_back, settle
@@ -18,6 +18,7 @@ from profiles.errors import (
     PreflightRefused,
     Refused,
     TwoRelayError,
+    UnknownName,
     UsageError,
     WriteFailed,
 )
@@ -30,6 +31,7 @@ STORED = "stored"
 
 @dataclass(frozen=True, slots=True)
 class _Wanted:
+    kind: Kind
     parameter: str
     old: int
     new: int
@@ -57,15 +59,21 @@ def _json(tree: Any) -> str:
 
 
 def apply(
-    run: str, link: str | None, desk: Desk, show: Callable[[list[dict[str, Any]]], None]
+    run: str,
+    link: str | None,
+    desk: Desk,
+    show: Callable[[list[dict[str, Any]]], None],
+    gains: str | None = None,
 ) -> dict[str, Any]:
     """Write the proposal of `run` to its drive, read back, store; return the result JSON.
 
-    `show` gets the proposal with the values that are in the drive now.
+    `show` gets the proposal with the values that are in the drive now. `gains`: rule whose gains of the
+    drive's own loops are written, too.
     """
     run_id, folder = resolve(desk.journal, run)
     record, result = desk.journal.run(run_id), folder.result()
-    proposal = result["compensation"]
+    tuned = _gains(result, gains) if gains is not None else None
+    proposal = [*result["compensation"], *(_gain_changes(tuned) if tuned else ())]
     if result["status"] != "completed" or not proposal:
         reason = (
             f"its status is '{result['status']}'"
@@ -83,9 +91,15 @@ def apply(
                 "the drive is enabled: its compensation is not changed while it controls the axis; "
                 "disable it first"
             )
+        compensations = len(result["compensation"])
         wanted = [
-            _Wanted(item["parameter"], drive.read_raw(item["parameter"]), int(item["new_raw"]))
-            for item in proposal
+            _Wanted(
+                "compensation" if n < compensations else "gain",
+                item["parameter"],
+                drive.read_raw(item["parameter"]),
+                int(item["new_raw"]),
+            )
+            for n, item in enumerate(proposal)
         ]
         present = []
         for item, now in zip(proposal, wanted, strict=True):
@@ -100,11 +114,33 @@ def apply(
                 _write(drive, desk, run_id, wanted)
         else:
             desk.tell("the drive has these values already")
-        for item in proposal:
+        for item in [*result["compensation"], *([tuned] if tuned else [])]:
             item["written"] = True
         folder.save(result, None, None)
         desk.interruption.check()
     return result
+
+
+def _gains(result: dict[str, Any], rule: str) -> dict[str, Any]:
+    """The set of gains by `rule` for the drive's own loops; raises Refused."""
+    run = result["run"]
+    sets = [s for s in result["tuning"] if s["loop"] == "drive" and s["source"] == "corrected"]
+    if not sets:
+        raise Refused(f"run {run} has no gains for the drive: 'tworelay tune {run}' makes them")
+    named = [s for s in sets if s["rule"] == rule]
+    if not named:
+        raise UnknownName("rule with gains for the drive", rule, [s["rule"] for s in sets])
+    found: dict[str, Any] = named[0]
+    if not found["proposed"]:
+        raise Refused(f"run {run}: the gains by {rule} are not proposed: {found['why_not']}")
+    if not found["parameters"]:
+        raise Refused(f"run {run}: the profile does not map the gains of {rule}; set them by hand")
+    return found
+
+
+def _gain_changes(tuned: dict[str, Any]) -> list[dict[str, Any]]:
+    """The gains of a set in the words of a proposal."""
+    return [{**item, "why": f"gain by {tuned['rule']}"} for item in tuned["parameters"]]
 
 
 def _write(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted]) -> None:
@@ -114,7 +150,7 @@ def _write(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted]) -> None
         for item in wanted:
             if desk.interruption.hurried():
                 desk.interruption.check()
-            if settings.write("compensation", item.parameter, item.new):
+            if settings.write(item.kind, item.parameter, item.new):
                 desk.tell(f"{item.parameter}: {item.old} → {item.new}, read back")
         if drive.profile.store is None:
             desk.tell(
@@ -162,7 +198,7 @@ def restore(run: str | None, link: str | None, desk: Desk, *, force: bool) -> Re
                 "the drive is enabled: 'tworelay stop' makes it safe, then restore"
             )
         outcome = put_back(drive, intents, force=force)
-        written = any(intent.kind == "compensation" for intent in intents)
+        written = any(intent.kind != "experiment" for intent in intents)
         if written and drive.profile.store is not None:
             drive.store()  # until then the old values are not safe, so the intents stay open
             desk.journal.note(run_id, "restored and stored")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -202,6 +203,12 @@ def _fill(
         "spans": [[t - begin for t in one.span] for one in measured.shown],
         "tests": measured.tests,
         "repeats": measured.repeats,
+        "turnaround": _turnaround(recorder),
+        "resolution": job.context.resolution,
+        "bases": {
+            "rated_torque": drive.scaling.rated_torque,
+            "increments_per_revolution": drive.scaling.increments_per_revolution,
+        },
         "limits": {"travel": limits.travel, "torque": limits.torque, "speed": limits.speed},
         "first_look": {
             "breakaway": known.breakaway,
@@ -214,6 +221,13 @@ def _fill(
     }
     reasons = [*measured.reasons, *_reasons(measured, job, drive.cycle, options.method)]
     judge(result, reasons)
+
+
+def _turnaround(recorder: Recorder) -> float:
+    """Time from a sample to the command that answers it, s: what a loop over this link adds."""
+    samples = recorder.samples
+    waits = [after.sent - before.time for before, after in pairwise(samples)]
+    return max(float(np.median(waits)), 0.0) if waits else 0.0
 
 
 def _spread(values: list[float]) -> Estimate | None:

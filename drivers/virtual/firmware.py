@@ -12,7 +12,7 @@ from enum import Enum, auto
 from math import pi
 
 from drivers.virtual.axes import VirtualAxis
-from drivers.virtual.loops import TICK, Loops
+from drivers.virtual.loops import TICK, Loops, as_delivered
 from drivers.virtual.memory import Memory
 from drivers.virtual.objects import (
     MODE_CYCLIC_POSITION,
@@ -35,6 +35,7 @@ _TENTH_RPM = 2 * pi / 600  # rad/s
 _NEAR_SPEED_LIMIT = 0.9 * _TENTH_RPM
 _REST_SPEED_SHARE = 2e-4  # of the speed limit: slower than this counts as standstill
 
+_GAINS = ("velocity_gain", "integral_time", "position_gain")
 _TORQUE_MODES = (MODE_PROFILE_TORQUE, MODE_CYCLIC_TORQUE)
 
 ERROR_COMMUNICATION = 0x8100
@@ -119,7 +120,8 @@ class Firmware:
         self._tick_at = 0
         self._energised = False
         self._after_stop = State.SWITCH_ON_DISABLED
-        self._loop = Loops(axis)
+        self._loop = self._tuned()
+        self._stopping = Loops(*as_delivered(axis))  # the stop does not hang on what a user tunes
         self._interpolation = round(axis.cycle * SECOND)
         self._position_from = 0.0
         self._position_step = 0.0
@@ -140,6 +142,16 @@ class Firmware:
         self._watched = False
         self.values = {key: item.default for key, item in self._objects.items()}
         self._recall()
+        self._loop = self._tuned()
+
+    def _tuned(self) -> Loops:
+        """The loops by the gains that are set."""
+        values = self.values
+        return Loops(
+            values["velocity_gain"] * 1e-6 * self.axis.rated,
+            values["integral_time"] * 1e-6,
+            values["position_gain"] * 0.01,
+        )
 
     # -- what adapters see -------------------------------------------------------------------------
 
@@ -220,6 +232,10 @@ class Firmware:
             self._take_torque(value)
         elif key == "position_target":
             self._take_position(value)
+        elif key in _GAINS:
+            tuned = self._tuned()
+            tuned.integral, tuned.clamped = self._loop.integral, self._loop.clamped
+            self._loop = tuned
 
     def command_torque(self, per_mille: int) -> None:
         """Cyclic torque command: the short way of writing `torque_target`."""
@@ -340,7 +356,7 @@ class Firmware:
         self._queue.clear()
         self._timer = _NEVER
         self._tick_at = self.now
-        self._loop.reset(0.0)
+        self._stopping.reset(0.0)
 
     def _at_standstill(self) -> None:
         if self._after_stop is State.QUICK_STOP_ACTIVE:
@@ -522,7 +538,7 @@ class Firmware:
             self._requested = self._ramped
         # speed limiter: no more torque along the motion than leads up to the limit
         direction = 1 if self.plant.velocity > 0 else -1
-        room = self._loop.velocity_gain * (self._speed_limit - abs(self.plant.velocity))
+        room = self._stopping.velocity_gain * (self._speed_limit - abs(self.plant.velocity))
         along = min(direction * self._requested, room)
         self._set_limited(direction * along)
         self._limiting = self._limiting or along < direction * self._requested
@@ -532,7 +548,7 @@ class Firmware:
             self._at_standstill()
             if not self._energised:
                 return
-        self._set_limited(self._loop.velocity_control(0.0, self.plant.velocity))
+        self._set_limited(self._stopping.velocity_control(0.0, self.plant.velocity))
 
     def _compensation(self, velocity_command: float) -> float:
         """Friction compensation by the direction of the velocity command, N.m or N."""
@@ -548,7 +564,7 @@ class Firmware:
         limit = self.values["max_torque"] * self._unit
         clamped = max(-limit, min(limit, torque))
         self._limiting = clamped != torque
-        self._loop.clamped = clamped != torque
+        self._loop.clamped = self._stopping.clamped = clamped != torque
         self._torque_command = clamped
 
 

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 from drivers.virtual.axes import VirtualAxis
 
-__all__ = ["TICK", "Loops"]
+__all__ = ["TICK", "Loops", "as_delivered"]
 
 TICK = 250_000  # ns: period of the drive's own loops
 _TICK_SECONDS = TICK / 1e9
 
 
-class Loops:
-    """Cascade of the drive: position P, velocity PI; tuned from the axis' inertia."""
+def as_delivered(axis: VirtualAxis) -> tuple[float, float, float]:
+    """Velocity gain, its integral time in s, position gain in 1/s; tuned from the axis' inertia."""
+    bandwidth = min(250.0, 0.25 / axis.lag) if axis.lag else 250.0  # rad/s
+    if axis.resonance:
+        bandwidth = min(bandwidth, 0.5 * axis.resonance)  # well below it
+    return axis.inertia * bandwidth, 4 / bandwidth, bandwidth / 5
 
-    def __init__(self, axis: VirtualAxis) -> None:
-        bandwidth = min(250.0, 0.25 / axis.lag) if axis.lag else 250.0  # rad/s
-        if axis.resonance:
-            bandwidth = min(bandwidth, 0.5 * axis.resonance)  # well below it
-        self.velocity_gain = axis.inertia * bandwidth
-        self.integral_gain = self.velocity_gain * bandwidth / 4
-        self.position_gain = bandwidth / 5
+
+class Loops:
+    """Cascade of the drive: position P, velocity PI."""
+
+    def __init__(self, velocity_gain: float, integral_time: float, position_gain: float) -> None:
+        self.velocity_gain = velocity_gain
+        self.integral_gain = velocity_gain / integral_time if integral_time else 0.0
+        self.position_gain = position_gain
         self.integral = 0.0
         self.clamped = False
 

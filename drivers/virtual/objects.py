@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import pi
 
 from drivers.virtual.axes import VirtualAxis
+from drivers.virtual.loops import as_delivered
 
 __all__ = [
     "MODES",
@@ -24,6 +25,9 @@ MODE_CYCLIC_TORQUE = 10
 MODES = (3, 4, 8, 9, 10)
 
 
+_MOST = 4_000_000_000
+
+
 @dataclass(frozen=True, slots=True)
 class Object:
     """One object: raw default, smallest and largest value; `nonvolatile` ones are kept by a store."""
@@ -38,6 +42,7 @@ class Object:
 def objects(axis: VirtualAxis) -> dict[str, Object]:
     """The objects of the drive of `axis`, by key; units stand in docs/virtual-drive.md."""
     revolution = 2 * pi / axis.resolution
+    gain, integral, position = as_delivered(axis)
     per_mille = round(1000 * axis.peak / axis.rated)
 
     def setting(default: int, low: int, high: int) -> Object:
@@ -68,4 +73,7 @@ def objects(axis: VirtualAxis) -> dict[str, Object]:
         "coulomb_positive": setting(0, 0, 1000),
         "coulomb_negative": setting(0, 0, 1000),
         "viscous_gain": setting(0, 0, 65535),  # 1e-5 of rated a rad/s
+        "velocity_gain": setting(round(1e6 * gain / axis.rated), 0, _MOST),  # 1e-6 of rated a rad/s
+        "integral_time": setting(round(1e6 * integral), 0, _MOST),  # us; 0: no integral part
+        "position_gain": setting(round(100 * position), 0, 1_000_000),  # 0.01/s
     }

@@ -259,6 +259,8 @@ class Plant:
     ) -> float:
         """First time within `limit` s at which the velocity is zero."""
         if transient == 0.0:
+            if acceleration == 0.0:  # at rest, and exactly balanced
+                return limit
             time = -velocity / acceleration
             x = self._b * time
             # log(1 + x)/x, by its series where the quotient would lose its digits

@@ -59,7 +59,7 @@ def test_the_virtual_profiles_have_the_same_names_and_law() -> None:
         (('timeout = 0.05', 'timeout = "fast"'), "timeout"),
         (('[parameters.controlword]', '[parameters.cw]'), "lacks controlword"),
         (('name = "virtual-modbus"', 'name = "Virtual Modbus!"'), "name"),
-        (('version = "1.0.0"', ''), "version: is missing"),
+        (('version = "1.1.0"', ''), "version: is missing"),
         (('[link]', '[link'), "is not TOML"),
     ],
 )  # fmt: skip
@@ -112,7 +112,7 @@ def test_check_finds_what_will_go_wrong(tmp_path: Path) -> None:
     text = text.replace('acts_in = ["position"]', 'acts_in = ["torque"]')
     text = text.replace('kind = "cycle"', 'kind = "none"')
     text = text.replace(
-        'trust = "verified"\nnonvolatile = true\n\n# -- maint', 'trust = "unverified"\n\n# -- maint'
+        'trust = "verified"\nnonvolatile = true\n\n# -- loop', 'trust = "unverified"\n\n# -- loop'
     )
     path = tmp_path / "mine.toml"
     path.write_text(text)

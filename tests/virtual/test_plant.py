@@ -183,3 +183,11 @@ def test_impossible_mechanics_are_refused(change: dict[str, float], message: str
     base = {"inertia": 1e-3, "viscous": 0.0, "coulomb": 0.1, "breakaway": 0.1}
     with pytest.raises(ValueError, match=message):
         PlantParameters(**{**base, **change})
+
+
+def test_an_axis_without_friction_that_is_exactly_balanced_stays_where_it_is() -> None:
+    axis = Plant(PlantParameters(1e-3, 2e-3, 0.0, 0.0, load=0.2))
+    axis.advance(0.001, 0.2)
+    assert (axis.position, axis.velocity) == (0.0, 0.0)
+    axis.advance(0.001, 0.21)
+    assert axis.velocity > 0

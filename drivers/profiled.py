@@ -32,6 +32,7 @@ from profiles.schema import (
 __all__ = ["ProfiledDrive"]
 
 _new = tuple.__new__  # a named tuple in half the time: there are hundreds of thousands
+_WRITTEN = (Protection.EXPERIMENT, Protection.COMPENSATION, Protection.GAIN)
 _POLL = 0.005  # s between two looks at a state
 _TRANSITION = 2.0  # s for one transition of the state machine, brake included
 
@@ -111,12 +112,13 @@ class ProfiledDrive:
     def write_raw(self, name: str, raw: int) -> None:
         """Write a raw value and read it back; raises WriteFailed, LinkError."""
         parameter = self._parameter(name)
-        if parameter.protection not in (Protection.EXPERIMENT, Protection.COMPENSATION):
+        if parameter.protection not in _WRITTEN:
             raise WriteFailed(
                 f"'{name}' has protection '{parameter.protection}' in profile "
                 f"'{self.profile.name}': it is not written"
             )
-        if parameter.protection is Protection.COMPENSATION and parameter.trust is Trust.UNVERIFIED:
+        for_good = parameter.protection is not Protection.EXPERIMENT
+        if for_good and parameter.trust is Trust.UNVERIFIED:
             raise WriteFailed(
                 f"'{name}' ({parameter.address}) is unverified in profile '{self.profile.name}': "
                 "it is not written; check the drive's manual and mark it in the profile"

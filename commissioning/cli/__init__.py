@@ -20,6 +20,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "stop": ("stop", "Make safe what a dead process left energised."),
     "tune": ("tune", "Gains from a run or an axis, and what each is worth."),
     "analyze": ("analyze", "Friction from a recording of any tool."),
+    "plot": ("plot", "A picture of a run: loci."),
     "report": ("report", "Write the HTML report of a run."),
     "export": ("export", "Copy a run with its samples and journal to a folder."),
     "profile": ("profile", "List, show and check drive profiles."),

@@ -23,6 +23,11 @@ def number(value: float | None, unit: str = "") -> str:
     return "–" if value is None else f"{value:.4g} {unit}".rstrip()
 
 
+def seconds(value: float) -> str:
+    """A time in ms below a second, else in s."""
+    return f"{value:.2f} s" if value >= 1 else f"{1000 * value:.0f} ms"
+
+
 def _interval(low: float, high: float) -> str:
     """Both ends, with as many digits as tell them apart."""
     largest = max(abs(low), abs(high), 1e-300)
@@ -158,7 +163,7 @@ def _set_row(item: dict[str, Any]) -> list[str]:
     if step:
         settling = step["settling"]
         ends = f"{100 * step['overshoot']:.0f} %, " + (
-            f"{1000 * settling:.3g} ms" if settling is not None else "never"
+            "never" if settling is None else seconds(settling)
         )
         off = f"{step['error']:+.1g}" + (f" ±{step['hunting']:.1g}" if step["hunting"] else "")
     margin = item["phase_margin_deg"]

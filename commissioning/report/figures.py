@@ -12,10 +12,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from commissioning.identification.describing_function import equivalent, relay
+from commissioning.identification.describing_function import equivalent, inverse_locus, relay
 from commissioning.runs import Samples
+from commissioning.tuning.margins import LEAST_MARGIN
 
-__all__ = ["friction_curve", "nyquist", "overview", "phase_plane", "tests_over_time"]
+__all__ = [
+    "friction_curve",
+    "loci",
+    "loci_svg",
+    "nyquist",
+    "overview",
+    "phase_plane",
+    "tests_over_time",
+    "tuning",
+]
 
 BLUE, ORANGE, GREY, GREEN = "#0b5394", "#c55a11", "#6b6b6b", "#2e7d32"
 _STYLE: Any = {
@@ -164,6 +174,154 @@ def nyquist(result: dict[str, Any]) -> str:
         axes.set_ylabel(f"imaginary part in {result['units']['gain']}")
         axes.legend(loc="lower left", fontsize=6.5)
         return _svg(figure)
+
+
+_MULTIPLES = (1.3, 2.0, 4.0)  # of the friction: amplitudes of the loci
+_DASHES = ("-", "--", "-.")
+
+
+def loci(
+    result: dict[str, Any], amplitude: float | None = None, hysteresis: float | None = None
+) -> Figure:
+    """The thesis' Figures 4, 5 and 6 for this axis: the loci −1/N beside the identified G.
+
+    −1/N over the amplitude d without hysteresis, over d with one hysteresis, and over the hysteresis with
+    one d (half of the relay's swing, N.m or N; half-width, rad or m). Default: those of the run's relay.
+    """
+    relay_test = result["experiment"]["cycles"][0]
+    f = result["friction"]["coulomb"]["value"]
+    d = amplitude or relay_test["relay_amplitude"]
+    eps = hysteresis or relay_test["hysteresis"] or 0.0
+    gain, effort = result["units"]["gain"], result["units"]["effort"]
+    around = result["critical_point"]["corrected"] or result["critical_point"]["naive"]
+    largest = 2.0 * around["gain"]
+    amplitudes = [m * f for m in _MULTIPLES]
+    panels: list[tuple[str, list[tuple[float, float]], str]] = [
+        ("Figure 4: over d, ε = 0", [(x, 0.0) for x in amplitudes], f"d = {{d:.3g}} {effort}"),
+        (
+            f"Figure 5: over d, ε = {eps:.3g}",
+            [(x, eps) for x in amplitudes],
+            f"d = {{d:.3g}} {effort}",
+        ),
+        (
+            f"Figure 6: over ε, d = {d:.3g}",
+            [(d, m * eps) for m in (0.5, 1.0, 2.0)],
+            f"ε = {{e:.3g}} {result['units']['position']}",
+        ),
+    ]
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(9.6, 3.6), layout="constrained")
+        row = figure.subplots(1, 3, sharex=True, sharey=True)
+        for axes, (title, settings, label) in zip(row, panels, strict=True):
+            _identified(axes, result, largest)
+            for (x, e), dash, color in zip(settings, _DASHES, (BLUE, ORANGE, GREEN), strict=True):
+                far = _furthest(largest, x, f)
+                swings = e + np.geomspace(1e-9 * far, far, 500)
+                values = inverse_locus(swings, x, e, f)
+                _locus(axes, values, color, dash, label.format(d=x, e=e))
+            axes.set_title(title, fontsize=9)
+            axes.axhline(0, color=GREY, lw=0.7)
+            axes.axvline(0, color=GREY, lw=0.7)
+            axes.set_xlabel(f"real part in {gain}")
+            axes.legend(loc="lower left", fontsize=6.5)
+        row[0].set_xlim(-largest, 0.12 * largest)
+        row[0].set_ylim(-0.75 * largest, 0.75 * largest)
+        row[0].set_ylabel(f"imaginary part in {gain}")
+        return figure
+
+
+def _furthest(largest: float, d: float, f: float) -> float:
+    """Half-swing beyond the hysteresis at which a locus has left the picture, rad or m."""
+    return 1.5 * largest * 4 / np.pi * float(np.hypot(d, f))
+
+
+def _identified(axes: Axes, result: dict[str, Any], largest: float) -> None:
+    """G(jω) of the identified rigid axis, and where the relay's own frequency lies on it."""
+    friction = result["friction"]
+    j, b, tau = (friction[name]["value"] or 0.0 for name in ("inertia", "viscous", "dead_time"))
+    if not j:
+        return
+    low = 0.3 * float(np.sqrt(1 / (j * 2 * largest)))
+    s = 1j * np.geomspace(low, 100 * low, 600)
+    g = np.exp(-s * tau) / (j * s**2 + b * s)
+    axes.plot(g.real, g.imag, color="black", lw=1.4, label="G(jω), identified")
+    point = result["critical_point"]["corrected"]
+    if point:
+        z = point["gain"] * np.exp(1j * np.radians(point["phase_deg"]))
+        axes.plot(z.real, z.imag, "o", mfc="none", mew=1.4, ms=6, color="black", ls="",
+                  label="G, relay test corrected")  # fmt: skip
+
+
+def loci_svg(result: dict[str, Any]) -> str:
+    """`loci` for the report."""
+    return _svg(loci(result))
+
+
+def tuning(result: dict[str, Any], loop: str) -> str:
+    """Phase margin of each rule, naive against corrected, and a step with friction."""
+    sets = [s for s in result["tuning"] if s["loop"] == loop and s["gains"]]
+    rules = list(dict.fromkeys(s["rule"] for s in sets))
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(9.6, 0.3 * len(rules) + 1.3), layout="constrained")
+        left, right = figure.subplots(1, 2, width_ratios=(1, 1.1))
+        left.axvspan(
+            _MARGIN_RANGE[0], LEAST_MARGIN, color="#e8e8e8", hatch="//", ec="#cccccc", lw=0
+        )
+        for y, rule in enumerate(reversed(rules)):
+            found = {s["source"]: s for s in sets if s["rule"] == rule}
+            ends = {k: _clipped(s["phase_margin_deg"]) for k, s in found.items()}
+            if len(ends) == 2:
+                left.plot(list(ends.values()), [y, y], color=GREY, lw=1)
+            for source, x in ends.items():
+                marker, face = ("x", "black") if source == "naive" else ("o", BLUE)
+                left.plot(x, y, marker=marker, color=face, ms=6, mew=1.5, ls="")
+                if source == "corrected" and found[source]["proposed"]:
+                    left.plot(x, y, marker="o", ms=11, mfc="none", color=BLUE, ls="")
+        left.set_yticks(range(len(rules)), list(reversed(rules)), fontsize=8)
+        left.set_xlim(*_MARGIN_RANGE)
+        left.set_ylim(-0.7, len(rules) - 0.3)
+        left.set_xlabel("phase margin in degrees (below 0: unstable)")
+        left.set_title("× naive    ● corrected    ◎ proposed    grey: too little", fontsize=8)
+        _steps(right, sets, result["units"]["position"])
+        return _svg(figure)
+
+
+_MARGIN_RANGE = (-30.0, 85.0)
+
+
+def _clipped(value: float | None) -> float:
+    return (
+        _MARGIN_RANGE[0] if value is None else min(max(value, _MARGIN_RANGE[0]), _MARGIN_RANGE[1])
+    )
+
+
+def _steps(axes: Axes, sets: Sequence[dict[str, Any]], unit: str) -> None:
+    """The best set, and the rule that takes the distorted point as it is, naive beside corrected."""
+    best = next((s["rule"] for s in sets if s["best"]), None)
+    longest = size = 0.0
+    for rule, color in ((best, BLUE), ("astrom-hagglund", ORANGE)):
+        for item in sets:
+            step = item["step"]
+            if item["rule"] != rule or step is None or (color == ORANGE and rule == best):
+                continue
+            naive = item["source"] == "naive"
+            axes.plot(
+                np.array(step["time"]) * 1000, step["position"], color=color, lw=1.1 if naive else 1.7,
+                ls="--" if naive else "-", label=f"{rule}, {item['source']}",
+            )  # fmt: skip
+            size = step["size"]
+            ends = step["settling"] or step["time"][-1]
+            longest = max(longest, min(1.6 * ends, step["time"][-1]))
+    if not size:
+        axes.set_axis_off()
+        return
+    axes.axhline(size, color=GREY, lw=0.9, ls=":", label="reference")
+    axes.set_xlim(0, 1000 * longest)
+    axes.set_ylim(-0.05 * size, 1.8 * size)
+    axes.set_xlabel("time in ms")
+    axes.set_ylabel(f"position in {unit}")
+    axes.set_title("a step with the friction that was found, not compensated", fontsize=8)
+    axes.legend(loc="upper right", fontsize=7)
 
 
 def friction_curve(result: dict[str, Any]) -> str:

@@ -45,10 +45,17 @@ def _render(result: dict[str, Any], samples: Samples | None, journal: dict[str, 
             if "modulating" in result["methods"]:
                 pictures["curve"] = markupsafe.Markup(figures.friction_curve(result))  # noqa: S704
             pictures["nyquist"] = markupsafe.Markup(figures.nyquist(result))  # noqa: S704
+            pictures["loci"] = markupsafe.Markup(figures.loci_svg(result))  # noqa: S704
+    for loop in dict.fromkeys(item["loop"] for item in result["tuning"]):
+        pictures[f"tuning_{loop}"] = markupsafe.Markup(figures.tuning(result, loop))  # noqa: S704
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["si"] = _si
+    environment.filters["seconds"] = _seconds
+    environment.filters["brief"] = lambda value: "–" if value is None else f"{value:.3g}"
+    environment.tests["search"] = lambda text, part: part in text
+    environment.globals["gain_names"] = _GAIN_NAMES
     template = environment.from_string(
         (files("commissioning.report") / "report.html.j2").read_text("utf-8")
     )
@@ -56,6 +63,19 @@ def _render(result: dict[str, Any], samples: Samples | None, journal: dict[str, 
     return template.render(
         r=result, pictures=pictures, stages=stages, journal=journal, created=created
     )
+
+
+_GAIN_NAMES = {
+    "gain": ("K", "stiffness"), "integral_time": ("Ti", "dead_time"),
+    "derivative_time": ("Td", "dead_time"), "velocity_gain": ("Kv", "viscous"),
+    "position_gain": ("Kp", ""),
+}  # fmt: skip
+
+
+def _seconds(value: float | None) -> str:
+    if value is None:
+        return "never"
+    return f"{value:.2f} s" if value >= 1 else f"{1000 * value:.0f} ms"
 
 
 def _si(value: float | None, unit: str = "") -> str:

@@ -24,7 +24,7 @@ class Envelope:
     centre, travel : rad or m; the axis, its stopping distance included, stays in centre ± travel
     speed : rad/s or m/s
     torque : N.m or N, of the command
-    duration : s
+    duration : s, of all experiments together; `spent` of it by those before
     thermal : (N.m)²·s or N²·s above the rated torque, the i²t budget; `rated` the torque it counts from
     stopping : what is certain about stopping; None while nothing is known and speeds are low
     relay_torque : torque about the offset that may act until the axis is told to stop, N.m or N
@@ -37,6 +37,7 @@ class Envelope:
     speed: float
     torque: float
     duration: float
+    spent: float = 0.0
     rated: float = inf
     thermal: float = inf
     stopping: Stopping | None = None
@@ -64,7 +65,7 @@ class Watch:
         self._travel = envelope.travel
         self._speed = envelope.speed
         self._torque = envelope.torque * (1 + 1e-9)
-        self._duration = envelope.duration
+        self._duration = max(envelope.duration - envelope.spent, 0.0)
         self._rated2 = envelope.rated**2
         if envelope.stopping is None:
             self._c0 = self._c1 = self._c2 = 0.0
@@ -146,6 +147,6 @@ class Watch:
                 f"{e.thermal:.3g} ({tu})2.s above {e.rated:.3g} {tu}); the axis was stopped"
             )
         raise EnvelopeTripped(
-            f"duration: the experiment takes longer than {e.duration:.4g} s; the axis was stopped. "
+            f"duration: the experiments take longer than {e.duration:.4g} s; the axis was stopped. "
             "Raise --duration"
         )

@@ -22,6 +22,7 @@ __all__ = ["Intent", "Journal", "RunRecord"]
 Kind = Literal["experiment", "compensation", "gain"]
 State = Literal["intended", "verified", "restored"]
 
+_TRIES, _PAUSE = 200, 0.05  # s: until another process has opened the file
 _SCHEMA_VERSION = 1
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS runs (
@@ -83,7 +84,7 @@ class Journal:
             raise JournalError(_unwritable(folder, error)) from None
         with self._errors():
             self._db.row_factory = sqlite3.Row
-            self._db.execute("PRAGMA journal_mode=WAL")
+            self._write_ahead()
             self._db.execute("PRAGMA synchronous=FULL")
             self._db.execute("PRAGMA foreign_keys=ON")
             version = self._db.execute("PRAGMA user_version").fetchone()[0]
@@ -95,6 +96,19 @@ class Journal:
             self._db.execute(f"PRAGMA user_version={_SCHEMA_VERSION}")
             self._db.execute("BEGIN IMMEDIATE")  # a journal that cannot be written shows now
             self._db.execute("ROLLBACK")
+
+    def _write_ahead(self) -> None:
+        """WAL; the switch does not wait for another process that opens the file at this moment."""
+        if self._db.execute("PRAGMA journal_mode").fetchone()[0] == "wal":
+            return
+        for left in reversed(range(_TRIES)):
+            try:
+                self._db.execute("PRAGMA journal_mode=WAL")
+                return
+            except sqlite3.OperationalError:
+                if not left:
+                    raise
+                time.sleep(_PAUSE)
 
     def close(self) -> None:
         """Close the file."""

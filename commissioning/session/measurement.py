@@ -133,7 +133,7 @@ class Measurement:
         spent = self.recorder.samples[-1].time - self.recorder.samples[0].time if (
             self.recorder.samples
         ) else 0.0  # fmt: skip
-        envelope = replace(self.envelope, duration=max(self.limits.duration - spent, 0.0))
+        envelope = replace(self.envelope, spent=spent)
         return run(
             plan, self.drive, envelope, self.recorder, self.desk.interruption,
             rest=rest, leave_moving=leave_moving,

@@ -50,7 +50,7 @@ def test_moving_back_counts_from_the_other_end() -> None:
     [
         (sample(0.01, 1.2), "speed: 20 rad/s is above the limit of 10 rad/s"),
         (sample(1.0, 0.4), "travel"),
-        (sample(61.0, 1.0), "duration: the experiment takes longer than 60 s"),
+        (sample(61.0, 1.0), "duration: the experiments take longer than 60 s"),
     ],
 )
 def test_each_limit_trips_with_numbers_and_units(second: Sample, message: str) -> None:

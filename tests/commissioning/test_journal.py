@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from commissioning.settings import Settings, put_back, settle
 from drivers.drive import Drive
 from drivers.link import axis_of, open_drive
 from profiles.errors import JournalError, LinkLost, UnknownName, UsageError
+from tests.conftest import ROOT
 
 
 @pytest.fixture
@@ -141,3 +144,17 @@ def test_a_damaged_journal_says_so(tmp_path: Path) -> None:
     (tmp_path / "journal.sqlite").write_bytes(b"this is no database" * 100)
     with pytest.raises(JournalError):
         Journal(tmp_path)
+
+
+def test_many_processes_may_open_a_new_journal_at_once(tmp_path: Path) -> None:
+    code = "from pathlib import Path; from commissioning.journal import Journal; import sys\n"
+    code += "for n in range(8): Journal(Path(sys.argv[1]) / str(n)).close()\n"
+    done = [
+        subprocess.Popen(
+            [sys.executable, "-c", code, str(tmp_path)], stderr=subprocess.PIPE, cwd=ROOT
+        )
+        for _ in range(4)
+    ]
+    for process in done:
+        _, errors = process.communicate(timeout=60)
+        assert process.returncode == 0, errors.decode()

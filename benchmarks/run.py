@@ -16,6 +16,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))
 
 from benchmarks.accuracy import accuracy  # noqa: E402
+from benchmarks.critical_point import critical_point  # noqa: E402
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
@@ -217,7 +218,10 @@ def links() -> list[str]:
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         os.environ["TWORELAY_HOME"] = folder
-        tables = {"wires": wires, "speed": speed, "links": links, "accuracy": accuracy}
+        tables = {
+            "wires": wires, "speed": speed, "links": links, "critical_point": critical_point,
+            "accuracy": accuracy,
+        }  # fmt: skip
         for name, table in tables.items():
             lines = table()
             (HERE / f"{name}.md").write_text("\n".join(lines) + "\n", "utf-8")

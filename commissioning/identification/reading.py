@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from commissioning.identification.critical_point import CriticalPoint, of_plant
 from commissioning.identification.estimate import Estimate
 from commissioning.identification.fitting import friction_in
-from commissioning.identification.lock_in import Phasors
+from commissioning.identification.lock_in import LockIn, Phasors
 from commissioning.identification.modulating import ModulatingEstimate
 from commissioning.identification.motion import Motion
 from commissioning.identification.record import Record, reversals
@@ -83,12 +83,21 @@ class Reader:
         return _point(turn * position, driving, period, systematic, turned)
 
 
-def by_balance(phasors: Phasors, complex_coulomb: complex, coulomb: Estimate) -> CriticalPoint:
-    """The point by the exact balance's own f̄, N.m or N: nothing is assumed of plant or friction."""
-    braking = complex_coulomb * phasors.sign[:, 0]
+def by_balance(phasors: Phasors, found: LockIn) -> CriticalPoint:
+    """The point by the exact balance's own friction, where no law explains the record.
+
+    Nothing is assumed of the plant; friction is taken for Coulomb's, on the motor. f̄ is turned from the
+    balance's frequency to that of the oscillation by the dead time.
+    """
+    w, before = 2 * pi / phasors.period, 2 * pi / found.period
+    friction = found.complex_coulomb * np.exp(1j * (w - before) * found.dead_time.value)
+    braking = friction * phasors.sign[:, 0]
     driving = phasors.torque[:, 0] - braking
     share = float(np.mean(np.abs(braking)) / np.mean(np.abs(driving)))
-    systematic = _LEAST_ERROR + share * _half(coulomb)
+    delay = abs(w - before) * (found.dead_time.high - found.dead_time.low) / 2
+    # friction that acts elsewhere than on the motor gives each harmonic another one
+    apart = max(abs(f / found.harmonics[0] - 1) for f in found.harmonics)
+    systematic = _LEAST_ERROR + share * (_half(found.coulomb) + delay + 0.5 * min(apart, 1.0))
     return _point(phasors.position[:, 0], driving, phasors.period, systematic, systematic)
 
 

@@ -217,7 +217,7 @@ def _auto(rig: Rig) -> Measured:
     except ValueError as error:
         measured.reasons.append(Reason(Weight.DOUBT, f"no exact balance to compare with: {error}"))
         return measured
-    if not first.held_out < EXPLAINS:  # the balance needs no law
+    if not first.held_out < EXPLAINS:  # no law explains the record: the balance needs none
         measured.second = second
         measured.corrected = _of_relay(short, short.record, measured.lock_in)
     measured.reasons.append(agreement(fast, measured.lock_in, rig.units))
@@ -287,7 +287,7 @@ def _balance(record: Record, found: Oscillations, rig: Rig) -> tuple[LockIn, Cri
     kinematics = refined_kinematics(record)
     first, second = (_phasors(record, kinematics, held) for held in found.held)
     solved = lock_in(first, second, record.resolution, rig.context.cycle)
-    return solved, by_balance(second, solved.complex_coulomb, solved.coulomb)
+    return solved, by_balance(second, solved)
 
 
 def _phasors(record: Record, kinematics: Kinematics, held: Held) -> Phasors:
@@ -310,7 +310,7 @@ def _read_by_law(measured: Measured, found: ModulatingEstimate) -> None:
 def _of_relay(measured: Measured, record: Record, found: LockIn) -> CriticalPoint:
     """The plant from the relay's limit cycle in `record`, by the exact balance's own friction."""
     read = phasors(record, refined_kinematics(record), *_whole(measured.shown[0]))
-    return by_balance(read, found.complex_coulomb, found.coulomb)
+    return by_balance(read, found)
 
 
 def _whole(shown: Oscillation) -> tuple[float, float, int]:

@@ -119,12 +119,14 @@ def _wanted(
     p = context.position_unit
     f = min(measured.found.coulomb.value, 0.9 * plan.d1)
     switching = f / plan.d1 + max(sin(radians(180 + point.phase_deg)), 0.0)
+    bias = measured.relay.bias
+    most = min(plan.most, context.torque - abs(bias) - context.torque_resolution)
     needs: list[tuple[float, Wanted, float]] = []
-    for d in (plan.d2, plan.d1):
+    for d in (min(plan.d2, most), min(plan.d1, most)):
         half_swing = point.gain * 4 / pi * (d * d - f * f) / d
         peak = 8 * half_swing / period
-        travel = travel_needed(rig.stopping, half_swing, min(switching, 1.0), peak, plan.most)
-        wanted = Wanted(period, d, half_swing, point.gain, measured.relay.bias, plan.most)
+        travel = travel_needed(rig.stopping, half_swing, min(switching, 1.0), peak, most)
+        wanted = Wanted(period, d, half_swing, point.gain, bias, most)
         needs.append((travel, wanted, peak))
     travel = needs[-1][0]
     if period < _FEWEST_CYCLES * context.cycle:
@@ -159,10 +161,10 @@ def _read(wanted: Wanted, measured: Measured, rig: Rig) -> CriticalPoint:
     measured.periods += held.periods
     count = max(round((held.end - held.begin) / held.period - 0.2), 1)
     record = rig.record(held.begin - held.period, end)
-    law = measured.modulating
+    law, balance = measured.modulating, measured.lock_in
     if law is not None and law.held_out < EXPLAINS:
         return Reader(record, law, held.period).point(held.begin, held.period, count)
-    if measured.lock_in is None:
+    if balance is None:
         raise ValueError("no friction law explains this axis")
     read = phasors(record, kinematics(record), held.begin, held.period, count)
-    return by_balance(read, measured.lock_in.complex_coulomb, measured.lock_in.coulomb)
+    return by_balance(read, balance)

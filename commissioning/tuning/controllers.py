@@ -1,4 +1,4 @@
-"""Gains as sampled controllers: their transfer function in z, and their law in the time domain."""
+"""Gains as sampled controllers: their frequency response, and their law in the time domain."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from commissioning.tuning.rules import Cascade, Pid
 
-__all__ = ["Gains", "Law", "law", "transfer"]
+__all__ = ["Gains", "Law", "law", "response"]
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 Gains = Pid | Cascade
 Law = Callable[[float, float], float]  # reference, position → torque
 
@@ -24,24 +25,22 @@ def _integral(gains: Gains, cycle: float) -> float:
     return cycle / gains.integral_time if isfinite(gains.integral_time) else 0.0
 
 
-def transfer(gains: Gains, cycle: float) -> tuple[Array, Array]:
-    """Numerator and denominator of u/(−y) in z at a constant reference, highest power first.
+def response(gains: Gains, cycle: float, frequency: Array) -> Complex:
+    """u/(−y) at ω, rad/s, at a constant reference, (n,) N.m/rad or N/m.
 
     Integral by backward rectangles; the PID's derivative behind a filter of a tenth of its time, the
-    cascade's velocity as difference of two samples.
+    cascade's velocity as difference of two samples. z − 1 is taken by expm1, so that nothing cancels.
     """
-    share = _integral(gains, cycle)
-    proportional = np.array([1 + share, -1.0])  # of (z − 1): 1 + share·z/(z − 1)
+    angle = 1j * np.asarray(frequency, np.float64) * cycle
+    z, near = np.exp(angle), np.expm1(angle)
+    integral = 1 + _integral(gains, cycle) * z / near
     if isinstance(gains, Cascade):
-        slope = np.array([gains.position_gain + 1 / cycle, -1 / cycle])  # over z
-        return gains.velocity_gain * np.polymul(proportional, slope), np.array([1.0, -1.0, 0.0])
+        slope = gains.position_gain + near / (z * cycle)
+        return np.asarray(gains.velocity_gain * integral * slope, np.complex128)
     smoothing = gains.derivative_time / _FILTER
     keep = smoothing / (smoothing + cycle)
-    lead = gains.derivative_time / (smoothing + cycle) * np.array([1.0, -2.0, 1.0])
-    filtered = np.array([1.0, -keep])
-    numerator = np.polyadd(np.polymul(proportional, filtered), lead)
-    below = np.array([1.0, -1 - keep, keep])  # (z − 1)·(z − keep)
-    return np.asarray(gains.gain * numerator, np.float64), below
+    lead = gains.derivative_time / (smoothing + cycle) * near / (near + 1 - keep)
+    return np.asarray(gains.gain * (integral + lead), np.complex128)
 
 
 def law(gains: Gains, cycle: float, limit: float, position: float, holding: float = 0.0) -> Law:

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import pi
+from math import isfinite, pi
 
 import numpy as np
 from numpy.typing import NDArray
 
-from commissioning.tuning.controllers import Gains, transfer
+from commissioning.tuning.controllers import Gains, response
 from commissioning.tuning.plant import LoopPlant
 from commissioning.tuning.rules import Cascade
 
 __all__ = ["LEAST_MARGIN", "MOST_SENSITIVITY", "Margins", "margins"]
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 LEAST_MARGIN, MOST_SENSITIVITY = 30.0, 2.5  # degrees, Ms: a set beyond is never proposed
 
-_GRID = 6000
-_LOWEST = 1e-4  # of the crossover, roughly: where the integral part is alone
+_GRID = 8000
+_LOWEST = 1e-3  # of the slowest corner: where the integrators are alone
+_SLOWEST = 1e-9  # of a radian a cycle: a corner below is one at zero
 _BAND = 1 / 2**0.5
 
 
@@ -57,20 +59,10 @@ class Margins:
 
 def margins(plant: LoopPlant, gains: Gains) -> Margins:
     """Margins of `gains` on `plant`."""
-    p_top, p_below = plant.polynomials()
-    c_top, c_below = transfer(gains, plant.cycle)
-    top, below = np.polymul(p_top, c_top), np.polymul(p_below, c_below)
-    poles = np.roots(np.polyadd(top, below))
-    if isinstance(gains, Cascade) and not gains.position_gain:
-        poles = np.delete(poles, np.argmin(np.abs(poles - 1)))  # where the axis stands is left open
-    stable = bool(np.all(np.abs(poles) < 1))
-    highest = pi / plant.cycle
-    w = np.geomspace(_lowest(plant), highest, _GRID)
-    z = np.exp(1j * w * plant.cycle)
-    loop = np.polyval(top, z) / np.polyval(below, z)
+    w = np.geomspace(_lowest(plant, gains), pi / plant.cycle, _GRID)
+    loop = plant.response(w) * response(gains, plant.cycle, w)
+    stable = _is_stable(loop, _integrators(plant, gains))
     size, angle = np.abs(loop), np.unwrap(np.angle(loop))
-    # the integrators of plant and controller: −90° each at the lowest frequency
-    angle -= 2 * pi * round((angle[0] + pi) / (2 * pi))
     crossings = _crossings(np.log(size), w)
     phase = crossover = None
     if len(crossings):
@@ -85,15 +77,44 @@ def margins(plant: LoopPlant, gains: Gains) -> Margins:
     return Margins(
         stable,
         phase,
-        _gain_margin(size, angle, w) if stable else None,
+        _gain_margin(size, angle) if stable else None,
         float(np.max(1 / np.abs(1 + loop))),
         crossover,
         float(w[above[-1]]) if len(above) else None,
     )
 
 
-def _lowest(plant: LoopPlant) -> float:
-    return _LOWEST / max(plant.delay, plant.cycle)
+def _lowest(plant: LoopPlant, gains: Gains) -> float:
+    """A frequency well below every corner of the loop, rad/s."""
+    corners = [1 / plant.delay, plant.viscous / plant.inertia]
+    if isinstance(gains, Cascade):
+        corners += [gains.position_gain, gains.velocity_gain / plant.inertia]
+    else:
+        corners.append((gains.gain / plant.inertia) ** 0.5)
+        corners.append(1 / gains.derivative_time if gains.derivative_time else 0.0)
+    corners.append(1 / gains.integral_time if isfinite(gains.integral_time) else 0.0)
+    slowest = _SLOWEST / plant.cycle
+    return _LOWEST * min([pi / plant.cycle, *(c for c in corners if c > slowest)])
+
+
+def _integrators(plant: LoopPlant, gains: Gains) -> int:
+    """Poles of the open loop at z = 1, that of a position which a velocity loop leaves open not counted."""
+    slowest = _SLOWEST / plant.cycle
+    count = 1 if plant.viscous / plant.inertia > slowest else 2
+    count += isfinite(gains.integral_time) and 1 / gains.integral_time > slowest
+    return count - (isinstance(gains, Cascade) and not gains.position_gain)
+
+
+def _is_stable(loop: Complex, integrators: int) -> bool:
+    """Nyquist's criterion on the upper half of the unit circle.
+
+    1 + L is the closed loop's polynomial over the open one's. Along the half circle a pole inside turns by
+    π, one at z = 1 by π/2, one outside not at all; the open loop has `integrators` at z = 1 and none
+    outside. So a stable loop turns 1 + L by π/2 an integrator, and each pole outside takes π off.
+    """
+    turn = np.unwrap(np.angle(1 + loop))
+    missing = integrators * pi / 2 - float(turn[-1] - turn[0])
+    return bool(abs(missing) < pi / 2)
 
 
 def _crossings(values: Array, w: Array) -> Array:
@@ -103,7 +124,7 @@ def _crossings(values: Array, w: Array) -> Array:
     return np.asarray(np.exp(np.log(w[at]) + share * np.log(w[at + 1] / w[at])), np.float64)
 
 
-def _gain_margin(size: Array, angle: Array, w: Array) -> float | None:
+def _gain_margin(size: Array, angle: Array) -> float | None:
     """Smallest rise of the gain, dB, that brings |L| to 1 where the phase is an odd multiple of 180°."""
     turns = np.floor((angle + pi) / (2 * pi))
     found = []

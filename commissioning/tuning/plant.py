@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, exp, expm1
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,32 +57,21 @@ class LoopPlant:
         first = -expm1(-z) / b
         return exp(-z), first, (time - first) / b
 
-    def polynomials(self) -> tuple[Array, Array]:
-        """Numerator and denominator of y/u in z, highest power first.
-
-        Zero-order hold and dead time exactly (Åström and Wittenmark, Computer-Controlled Systems, 2.3).
-        """
-        ts, j = self.cycle, self.inertia
-        decay, a1, _ = self._kernels(ts)
-        late = self.split
-        _, f1, f2 = self._kernels(late)
-        rest_decay, r1, r2 = self._kernels(ts - late)
-        # position and velocity after a cycle, per torque of the older and of the newer command
-        old = np.array([f2 + r1 * f1, rest_decay * f1]) / j
-        new = np.array([r2, r1]) / j
-        # C·adj(zI − Φ) = [z − decay, a1]
-        numerator = np.zeros(3)
-        for power, (y, v) in ((0, new), (1, old)):
-            numerator[power] += y
-            numerator[power + 1] += a1 * v - decay * y
-        denominator = np.array([1.0, -(1 + decay), decay])
-        lag = self.cycles
-        if lag == 0:
-            return numerator[:2], denominator
-        return numerator, np.concatenate((denominator, np.zeros(lag)))
-
     def response(self, frequency: Array) -> Complex:
-        """y/u at ω below the Nyquist frequency, (n,) rad/(N.m) or m/N."""
-        numerator, denominator = self.polynomials()
-        z: Any = np.exp(1j * np.asarray(frequency) * self.cycle)
-        return np.asarray(np.polyval(numerator, z) / np.polyval(denominator, z), np.complex128)
+        """y/u at ω up to the Nyquist frequency, rad/s, (n,) rad/(N.m) or m/N.
+
+        Zero-order hold and dead time exactly (Åström and Wittenmark, Computer-Controlled Systems, 2.3):
+        y/u = C·(zI − Φ)⁻¹·(Γ0·z + Γ1)·z⁻ⁿ. z − 1 is taken by expm1, so that nothing cancels near z = 1.
+        """
+        angle = 1j * np.asarray(frequency, np.float64) * self.cycle
+        z, near = np.exp(angle), np.expm1(angle)
+        late = self.split
+        _, a1, _ = self._kernels(self.cycle)
+        _, f1, f2 = self._kernels(late)
+        rest_decay, r1, r2 = self._kernels(self.cycle - late)
+        # position and velocity after a cycle, per torque of the older and of the newer command
+        position = f2 + r1 * f1 + (r2 * z if self.cycles else r2)
+        velocity = rest_decay * f1 + (r1 * z if self.cycles else r1)
+        beside = near - expm1(-self.viscous / self.inertia * self.cycle)  # z − e^(−b·Ts)
+        value = (beside * position + a1 * velocity) / (self.inertia * near * beside)
+        return np.asarray(value * np.exp(-angle * self.cycles), np.complex128)

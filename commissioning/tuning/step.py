@@ -6,7 +6,7 @@ The axis is the virtual drive's own, in closed form; the position is rounded to 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
@@ -85,7 +85,10 @@ def step(plant: LoopPlant, gains: Gains, friction: Friction, size: float, crosso
     spare = max(friction.limit - friction.coulomb - abs(friction.offset), 0.05 * friction.limit)
     move = 2 * sqrt(size * plant.inertia / spare)  # as fast as the torque allows
     duration = _CROSSOVERS / crossover + _MOVES * move
-    count = int(min(max(duration / cycle, _FEWEST), _MOST))
+    if duration > _MOST * cycle:  # a loop that is slow against its cycle: fewer, longer cycles do
+        cycle = duration / _MOST
+        plant = replace(plant, cycle=cycle)
+    count = int(max(duration / cycle, _FEWEST))
     controller = law(gains, cycle, friction.limit, 0.0, friction.offset)
     waiting = deque([friction.offset] * max(plant.cycles - 1, 0))
     late = plant.split

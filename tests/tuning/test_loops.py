@@ -11,11 +11,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import expm
 
-from commissioning.tuning.controllers import Gains, law, transfer
+from commissioning.tuning.controllers import Gains, law, response
 from commissioning.tuning.margins import margins
 from commissioning.tuning.plant import LoopPlant
-from commissioning.tuning.rules import Cascade, Pid, cascade, symmetrical_optimum
+from commissioning.tuning.rules import (
+    Cascade,
+    Pid,
+    cascade,
+    landau_voda_pi,
+    landau_voda_pid,
+    symmetrical_optimum,
+)
 from commissioning.tuning.step import Friction, step
 from drivers.virtual.plant import Plant, PlantParameters
 
@@ -30,30 +38,60 @@ PLANTS = [
 GAINS: list[Gains] = [Pid(2.0, 1.0, 0.05), Pid(0.5, 2.0, 0.1), Cascade(0.05, 0.1, 8.0)]
 
 
+def exact(plant: LoopPlant) -> ct.StateSpace:
+    """The sampled axis by matrix exponentials: position, velocity, and the commands under way."""
+    a = np.array([[0, 1, 0], [0, -plant.viscous / plant.inertia, 1 / plant.inertia], [0, 0, 0]])
+    ts, n = plant.cycle, plant.cycles
+    late = plant.split
+    early, rest, whole = (expm(a * t) for t in (late, ts - late, ts))
+    old = rest[:2, :2] @ early[:2, 2]
+    new = rest[:2, 2]
+    states = 2 + n  # u(k−1) … u(k−n)
+    phi, gamma = np.zeros((states, states)), np.zeros((states, 1))
+    phi[:2, :2] = whole[:2, :2]
+    if n == 0:
+        gamma[:2, 0] = new
+    else:
+        phi[:2, 1 + n] += old
+        if n == 1:
+            gamma[:2, 0] += new
+        else:
+            phi[:2, n] += new
+        gamma[2, 0] = 1
+        for k in range(1, n):
+            phi[2 + k, 1 + k] = 1
+    output = np.zeros((1, states))
+    output[0, 0] = 1
+    return ct.ss(phi, gamma, output, 0, ts)
+
+
 @pytest.mark.parametrize("cycles", [0, 1, 3])
 def test_whole_cycles_of_dead_time_are_zero_order_hold_of_python_control(cycles: int) -> None:
     plant = LoopPlant(J, 2e-3, cycles * 0.004, 0.004)
-    exact = ct.sample_system(ct.tf([1], [J, 2e-3, 0]), 0.004, method="zoh")
-    exact *= ct.tf([1], [1, *[0] * cycles], 0.004) if cycles else 1
+    held = ct.sample_system(ct.tf([1], [J, 2e-3, 0]), 0.004, method="zoh")
+    held *= ct.tf([1], [1, *[0] * cycles], 0.004) if cycles else 1
     w = np.geomspace(1, 700, 20)
-    np.testing.assert_allclose(plant.response(w), exact(np.exp(1j * w * 0.004)), rtol=1e-6)
+    np.testing.assert_allclose(plant.response(w), held(np.exp(1j * w * 0.004)), rtol=1e-6)
 
 
 @pytest.mark.parametrize("plant", PLANTS)
-def test_a_pulse_of_torque_moves_the_polynomials_as_it_moves_the_axis(plant: LoopPlant) -> None:
-    top, below = plant.polynomials()
+def test_the_response_is_that_of_the_exponential_matrices(plant: LoopPlant) -> None:
+    w = np.geomspace(0.1, 0.99 * np.pi / plant.cycle, 30)
+    expected = np.array([complex(exact(plant)(z)) for z in np.exp(1j * w * plant.cycle)])
+    np.testing.assert_allclose(plant.response(w), expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_a_pulse_of_torque_moves_the_matrices_as_it_moves_the_axis(plant: LoopPlant) -> None:
     count = 40
     impulse = np.zeros(count)
     impulse[3] = 1.0
-    response = ct.forced_response(
-        ct.tf(top, below, plant.cycle), np.arange(count) * plant.cycle, impulse
-    ).outputs
+    response = ct.forced_response(exact(plant), np.arange(count) * plant.cycle, impulse).outputs
     axis = Plant(PlantParameters(plant.inertia, plant.viscous, 0.0, 0.0))
     seen = []
     for n in range(count):
         seen.append(axis.position)
-        for begin, duration in pieces(plant, n):
-            k = round(begin)
+        for k, duration in pieces(plant, n):
             axis.advance(duration, 1.0 if k == 3 else 0.0)
     np.testing.assert_allclose(response, seen, rtol=1e-9, atol=1e-12)
 
@@ -70,9 +108,26 @@ def pieces(plant: LoopPlant, n: int) -> list[tuple[int, float]]:
     return found
 
 
+def controller(gains: Gains, ts: float) -> ct.TransferFunction:
+    """The same law written down by hand: backward rectangles, filtered derivative, difference."""
+    z = ct.tf([1, 0], [1], ts)
+    integral = 1 + ts / gains.integral_time * z / (z - 1)
+    if isinstance(gains, Cascade):
+        return gains.velocity_gain * integral * (gains.position_gain + (z - 1) / (z * ts))
+    tf = gains.derivative_time / 10
+    slope = gains.derivative_time * (z - 1) / ((tf + ts) * z - tf)
+    return gains.gain * (integral + slope)
+
+
 def of_control(plant: LoopPlant, gains: Gains) -> ct.TransferFunction:
-    (p_top, p_below), (c_top, c_below) = plant.polynomials(), transfer(gains, plant.cycle)
-    return ct.tf(np.polymul(p_top, c_top), np.polymul(p_below, c_below), plant.cycle)
+    return ct.minreal(ct.tf(exact(plant)), verbose=False) * controller(gains, plant.cycle)
+
+
+@pytest.mark.parametrize("gains", [*GAINS, Pid(1.0, np.inf, 0.05)])
+def test_the_controller_s_response_is_its_law_written_in_z(gains: Gains) -> None:
+    w = np.geomspace(1, 3000, 20)
+    expected = controller(gains, 0.001)(np.exp(1j * w * 0.001))
+    np.testing.assert_allclose(response(gains, 0.001, w), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("plant", PLANTS)
@@ -140,9 +195,8 @@ def test_the_law_in_time_is_its_transfer_function(plant: LoopPlant) -> None:
     gains = Pid(1.0, 0.5, 0.05)
     ts = plant.cycle
     reference = gains.gain * ct.tf([1 + ts / gains.integral_time, -1], [1, -1], ts)
-    p = ct.tf(*plant.polynomials(), ts)
-    closed = p * reference / (1 + of_control(plant, gains))
-    expected = ct.step_response(ct.minreal(closed, verbose=False), np.arange(150) * ts).outputs
+    closed = ct.feedback(exact(plant), ct.ss(controller(gains, ts))) * ct.ss(reference)
+    expected = ct.step_response(closed, np.arange(150) * ts).outputs
     np.testing.assert_allclose(linear_step(plant, gains, 150), expected, rtol=1e-3, atol=1e-3)
 
 
@@ -212,3 +266,28 @@ def test_commands_come_late_by_the_dead_time() -> None:
     assert np.all(moved.position[moved.time <= 0.0035] == 0.0)
     assert moved.position[moved.time > 0.0045][0] > 0.0
     assert deque(moved.time).popleft() == 0.0
+
+
+@pytest.mark.parametrize("period", [250e-6, 62.5e-6, 10e-6])
+@pytest.mark.parametrize(
+    ("gains", "margin", "sensitivity"),
+    [(landau_voda_pi(176.8, 2.0), 36.87, 1.68), (landau_voda_pid(176.8, 2.0), 65.7, 1.04)],
+)
+def test_a_slow_loop_in_a_fast_drive_keeps_its_margins(
+    period: float, gains: Gains, margin: float, sensitivity: float
+) -> None:
+    """B/J = 2 rad/s and no dead time: an integrator with one lag, whatever the drive's period is."""
+    found = margins(LoopPlant(J, 2e-3, 0.0, period), gains)
+    assert found.stable
+    assert found.phase == pytest.approx(margin, abs=0.3)
+    assert found.sensitivity == pytest.approx(sensitivity, abs=0.02)
+
+
+def test_a_slow_loop_in_a_fast_drive_is_followed_to_its_end() -> None:
+    gains = Pid(0.5, np.inf, 0.1)
+    slow, fast = (
+        step(LoopPlant(J, 2e-3, 0.0, period), gains, NO_FRICTION, 1.0, 20.0)
+        for period in (1e-3, 1e-5)
+    )
+    assert fast.time[-1] == pytest.approx(slow.time[-1], rel=0.01)
+    assert fast.settling == pytest.approx(slow.settling, rel=0.05)

@@ -95,8 +95,7 @@ def run(case: tuple[str, float]) -> Outcome:
         if point is not None:
             outcome.points[key] = compared(point, virtual)
     try:
-        drive = DriveLoop(dead_time=virtual.lag, period=PERIOD)
-        tuned = tune(result, axis, load_profile("virtual-modbus"), drive)
+        tuned = tune(result, axis, load_profile("virtual-modbus"), DriveLoop())
     except TwoRelayError as error:
         outcome.refused = str(error)
         return outcome
@@ -147,7 +146,7 @@ def loop_gain(found: dict[str, Any], virtual: VirtualAxis, cycle: float, w: floa
     w = 2 * math.pi / (period * cycle)
     size = 1e-3 * virtual.rated
     settle = math.ceil(40 / w / cycle / period) + 12
-    count, sums, before = 4 * period, [0j, 0j], 0.0
+    sums, before = [0j, 0j], 0.0
     for k in range((settle + 4) * period):
         fed_back = controller(0.0, plant.position)
         into = fed_back + size * math.sin(w * k * cycle)
@@ -161,7 +160,6 @@ def loop_gain(found: dict[str, Any], virtual: VirtualAxis, cycle: float, w: floa
         before = waiting.popleft()
         if cycle > late:
             plant.advance(cycle - late, before)
-    assert count
     return -sums[0] / sums[1]
 
 

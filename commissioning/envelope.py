@@ -25,7 +25,8 @@ class Envelope:
     speed : rad/s or m/s
     torque : N.m or N, of the command
     duration : s, of all experiments together; `spent` of it by those before
-    thermal : (N.m)²·s or N²·s above the rated torque, the i²t budget; `rated` the torque it counts from
+    thermal : (N.m)²·s or N²·s above the rated torque, the i²t budget; `rated` the torque it counts from,
+        `heat` what the experiments before have left of it
     stopping : what is certain about stopping; None while nothing is known and speeds are low
     relay_torque : torque about the offset that may act until the axis is told to stop, N.m or N
     stage : why the speed is limited so, for messages
@@ -40,6 +41,7 @@ class Envelope:
     spent: float = 0.0
     rated: float = inf
     thermal: float = inf
+    heat: float = 0.0
     stopping: Stopping | None = None
     relay_torque: float = 0.0
     stage: str = ""
@@ -74,7 +76,7 @@ class Watch:
         self._began = inf
         self._time = inf
         self._position = 0.0
-        self._heat = 0.0
+        self._heat = envelope.heat
         self._over = 0
 
     def admit(self, set_point: float) -> None:

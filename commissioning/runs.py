@@ -143,11 +143,24 @@ _CHANGE_KEYS: dict[str, type | tuple[type, ...]] = {
 }  # fmt: skip
 
 
+_SET_KEYS: dict[str, type | tuple[type, ...]] = {
+    "rule": str, "loop": str, "source": str, "proposed": bool, "best": bool, "why_not": str,
+    "parameters": list,
+}  # fmt: skip
+_GAIN_KEYS = {
+    key: kind for key, kind in _CHANGE_KEYS.items() if key not in ("old", "old_raw", "why")
+}
+
+
 def _check_result(found: dict[str, Any], path: Path) -> None:
     """What the commands rely on is there and of its type; the rest is the report's to judge."""
     rows = [(found, _RESULT_KEYS)]
     if isinstance(found.get("compensation"), list):
         rows += [(item, _CHANGE_KEYS) for item in found["compensation"]]
+    for item in found["tuning"] if isinstance(found.get("tuning"), list) else ():
+        rows.append((item, _SET_KEYS))
+        if isinstance(item, dict) and isinstance(item.get("parameters"), list):
+            rows += [(change, _GAIN_KEYS) for change in item["parameters"]]
     for row, keys in rows:
         for key, kind in keys.items():
             if not isinstance(row, dict) or not isinstance(row.get(key), kind):

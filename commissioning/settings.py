@@ -49,6 +49,11 @@ class Settings:
         old = self._drive.read_raw(parameter)
         if old == new:
             return False
+        if self._drive.profile.parameters[parameter].protection != kind:
+            raise WriteFailed(
+                f"'{parameter}' is no {kind} parameter in profile '{self._drive.profile.name}': it was "
+                "left as it is"
+            )
         self._check_way_back(parameter, old, new)
         intent = self._journal.intend(self._run, kind, parameter, old, new)
         self._drive.write_raw(parameter, new)

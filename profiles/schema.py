@@ -380,12 +380,14 @@ class Compensation(_Strict):
 class LoopGains(_Strict):
     """The drive's own loops: how late they are, and where their gains are written.
 
-    P of the position over PI of the velocity. `dead_time` is from the sample of the position to the
-    torque, the torque loop's lag included and the hold of the loop's own period left out.
+    P of the position over PI of the velocity; all three gains are mapped, or none. `dead_time` is from the
+    sample of the position to the torque, the hold of the loop's own period left out; `lag` names a
+    parameter with the time constant of the torque loop, which comes on top.
     """
 
     period: Annotated[float, Field(gt=0)]  # s
     dead_time: Annotated[float, Field(ge=0)]  # s
+    lag: str | None = None
     velocity_gain: str | None = None
     integral_time: str | None = None
     position_gain: str | None = None
@@ -395,6 +397,19 @@ class LoopGains(_Strict):
         """Parameter name of each gain that the profile maps."""
         names = ("velocity_gain", "integral_time", "position_gain")
         return {name: value for name in names if (value := getattr(self, name)) is not None}
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if len(self.terms) not in (0, 3):
+            raise ValueError("velocity_gain, integral_time and position_gain go together")
+        return self
+
+
+_GAIN_UNITS = {
+    "velocity_gain": Unit.RATED_TORQUE_PER_SPEED,
+    "integral_time": Unit.SECOND,
+    "position_gain": Unit.PER_SECOND,
+}
 
 
 class Brake(_Strict):
@@ -463,9 +478,11 @@ class Profile(_Strict):
         for name in self.compensation.terms.values():
             if self.parameters[name].protection is not Protection.COMPENSATION:
                 raise ValueError(f"[parameters.{name}] must have protection 'compensation'")
-        for name in self.loops.terms.values() if self.loops else ():
+        for term, name in self.loops.terms.items() if self.loops else ():
             if self.parameters[name].protection is not Protection.GAIN:
                 raise ValueError(f"[parameters.{name}] must have protection 'gain'")
+            if self.parameters[name].unit is not _GAIN_UNITS[term]:
+                raise ValueError(f"[parameters.{name}] must have unit '{_GAIN_UNITS[term]}'")
         return self
 
     def _steps(self) -> list[tuple[str, Step]]:
@@ -484,7 +501,9 @@ class Profile(_Strict):
             found += [(f"modes.{mode}", code.set_point) for code in codes]
         found += [("compensation", name) for name in self.compensation.terms.values()]
         found += [("limits", name) for name in self.limits.values()]
-        found += [("loops", name) for name in (self.loops.terms.values() if self.loops else ())]
+        if self.loops is not None:
+            found += [("loops", name) for name in self.loops.terms.values()]
+            found += [("loops", self.loops.lag)] if self.loops.lag else []
         found += [(where, step.write or step.until or "") for where, step in self._steps()]
         if self.watchdog.parameter:
             found.append(("watchdog", self.watchdog.parameter))

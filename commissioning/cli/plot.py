@@ -48,7 +48,8 @@ def loci(run: str, amplitude: float | None, hysteresis: float | None, output: st
     with Journal(home()) as journal:
         run_id, folder = resolve(journal, run)
     result = folder.result()
-    if result["friction"]["coulomb"]["value"] is None or not result["critical_point"]:
+    coulomb = result["friction"].get("coulomb") or {}
+    if coulomb.get("value") is None or not result.get("critical_point"):
         raise Refused(f"run {run_id} measured no friction: there is no locus to draw")
     target = Path(output) if output else folder.path / "loci.svg"
     if target.suffix not in _FORMATS:
@@ -57,6 +58,8 @@ def loci(run: str, amplitude: float | None, hysteresis: float | None, output: st
         draw(result, amplitude, hysteresis).savefig(target, dpi=150)
     except OSError as error:
         raise UsageError(f"{target}: cannot be written: {error.strerror}") from None
-    except (KeyError, TypeError, IndexError) as error:
-        raise UsageError(f"run {run_id}: lacks what the picture needs ({error})") from None
+    except (KeyError, TypeError, IndexError, ArithmeticError, ValueError) as error:
+        raise UsageError(
+            f"run {run_id}: lacks what the picture needs ({type(error).__name__}: {error})"
+        ) from None
     click.echo(str(target))

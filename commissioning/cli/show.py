@@ -6,6 +6,7 @@ from math import floor, log10
 from typing import Any
 
 from commissioning.cli.terminal import Screen
+from commissioning.report.words import GAINS, duration
 
 __all__ = ["proposal", "summary"]
 
@@ -21,11 +22,6 @@ _NAMES = {
 def number(value: float | None, unit: str = "") -> str:
     """A number with its unit, or a dash."""
     return "–" if value is None else f"{value:.4g} {unit}".rstrip()
-
-
-def seconds(value: float) -> str:
-    """A time in ms below a second, else in s."""
-    return f"{value:.2f} s" if value >= 1 else f"{1000 * value:.0f} ms"
 
 
 def _interval(low: float, high: float) -> str:
@@ -75,10 +71,10 @@ def summary(result: dict[str, Any], screen: Screen) -> None:
 
 
 _POINTS = {
-    "naive": "naive: what a relay autotuner concludes",
-    "hysteresis": "with the relay's hysteresis",
-    "corrected": "with hysteresis and friction",
-    "measured": "measured again at another amplitude",
+    "naive": "naive: a relay autotuner",
+    "hysteresis": "with its hysteresis",
+    "corrected": "with friction, too",
+    "measured": "at another amplitude",
     "at_180": "at −180°",
     "at_135": "at −135°",
 }
@@ -107,8 +103,8 @@ def points(result: dict[str, Any], screen: Screen) -> None:
             ]
         )
     gain_unit, ku_unit = result["units"]["gain"], result["units"].get("stiffness", "")
-    columns = ["", f"gain, {gain_unit}", "phase", "period", f"Ku, {ku_unit}"]
-    screen.table("the plant, force or torque in and position out", columns, rows)
+    columns = ["", "gain", "phase", "period", "Ku"]
+    screen.table(f"the plant: gain in {gain_unit}, Ku in {ku_unit}", columns, rows)
     if any("plant at" in reason for reason in result["quality"]["reasons"]):
         return  # it was asked for, and said there
     for key in ("at_180", "at_135"):
@@ -133,11 +129,12 @@ def tuning(result: dict[str, Any], screen: Screen) -> None:
         sets = [s for s in result["tuning"] if s["loop"] == loop]
         if not sets:
             continue
-        columns = [
-            "rule", "from", "phase margin", "Ms", "crosses at rad/s", "step: over, settles",
-            f"stays off by {units['position']}", "",
-        ]  # fmt: skip
+        columns = ["rule", "from", "PM", "Ms", "rad/s", "over", "settles", "off by", ""]
         screen.table(f"{loop}: {title}", columns, [_set_row(s) for s in sets if s["gains"]])
+        screen.say(
+            f"  PM: phase margin; rad/s: where the loop's gain passes 1; over, settles, off by (in "
+            f"{units['position']}): a step of a twentieth of the travel, with this friction"
+        )
         missing: dict[str, list[str]] = {}
         for item in sets:
             if not item["gains"]:
@@ -159,20 +156,18 @@ def tuning(result: dict[str, Any], screen: Screen) -> None:
 
 def _set_row(item: dict[str, Any]) -> list[str]:
     step = item["step"] if item["stable"] else None
-    ends = off = "–"
+    over = ends = off = "–"
     if step:
-        settling = step["settling"]
-        ends = f"{100 * step['overshoot']:.0f} %, " + (
-            "never" if settling is None else seconds(settling)
-        )
-        off = f"{step['error']:+.1g}" + (f" ±{step['hunting']:.1g}" if step["hunting"] else "")
+        over, ends = f"{100 * step['overshoot']:.0f} %", duration(step["settling"])
+        off = f"{max(abs(step['error']), step['hunting']):.0e}".replace("e-0", "e-")
     margin = item["phase_margin_deg"]
     return [
         item["rule"],
         item["source"],
         f"{margin:.0f}°" if margin is not None else "–",
-        f"{item['ms']:.2f}",
-        f"{item['crossover']:.3g}" if item["crossover"] else "–",
+        f"{item['ms']:.1f}",
+        _frequency(item["crossover"]),
+        over,
         ends,
         off,
         "best"
@@ -183,17 +178,17 @@ def _set_row(item: dict[str, Any]) -> list[str]:
     ]
 
 
-_GAINS = {
-    "gain": ("K", "stiffness"), "integral_time": ("Ti", "s"), "derivative_time": ("Td", "s"),
-    "velocity_gain": ("Kv", "viscous"), "position_gain": ("Kp", "1/s"),
-}  # fmt: skip
+def _frequency(value: float | None) -> str:
+    if value is None:
+        return "–"
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
 
 
 def gains_text(item: dict[str, Any], units: dict[str, str]) -> str:
     """Gains by name with their units; an integral part that is not there is left out."""
     found = []
     for name, value in item["gains"].items():
-        symbol, unit = _GAINS[name]
+        symbol, unit = GAINS[name]
         if value:
             found.append(f"{symbol} = {value:.4g} {units.get(unit, unit)}")
     return ", ".join(found)

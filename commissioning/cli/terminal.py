@@ -38,6 +38,9 @@ __all__ = [
 ]
 
 
+_FILE_WIDTH = 110
+
+
 class Screen:
     """Where people read: standard output, or standard error when JSON takes the former."""
 
@@ -61,7 +64,10 @@ class Screen:
         """A rich console on the same stream."""
         from rich.console import Console
 
-        return Console(stderr=self.to_stderr, highlight=False, soft_wrap=False)
+        console = Console(stderr=self.to_stderr, highlight=False, soft_wrap=False)
+        if not console.is_terminal:
+            console.width = max(console.width, _FILE_WIDTH)  # nobody folds a file
+        return console
 
     def confirm(self, question: str, word: str) -> bool:
         """Ask for `word` to be typed; raises Refused without a terminal."""
@@ -115,7 +121,8 @@ class Screen:
 
         table = Table(title=title, title_justify="left", title_style="bold")
         for n, column in enumerate(columns):
-            table.add_column(column, justify="left" if n == 0 else "right", no_wrap=n == 0)
+            justify = "left" if n == 0 else "right"
+            table.add_column(column, justify=justify, no_wrap=n == 0, overflow="fold")  # type: ignore[arg-type]
         for row in rows:
             table.add_row(*row)
         self.console().print(table, markup=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import click
@@ -21,16 +22,22 @@ __all__ = ["command"]
 @click.command("tune")
 @click.argument("target", metavar="TARGET|RUN")
 @click.option(
-    "--drive-dead-time", type=Finite(0), metavar="S",
+    "--drive-dead-time", type=Finite(0, 0.1), metavar="S",
     help="s, of the drive's own loops, from position sample to torque. Default: the profile's.",
 )  # fmt: skip
 @click.option(
-    "--drive-period", type=Finite(0, min_open=True), metavar="S",
+    "--drive-period", type=Finite(1e-5, 0.02), metavar="S",
     help="s, of the drive's own loops. Default: the profile's, else 0.00025.",
 )  # fmt: skip
 @job_options
+@click.pass_context
 def command(
-    target: str, drive_dead_time: float | None, drive_period: float | None, **arguments: Any
+    context: click.Context,
+    /,
+    target: str,
+    drive_dead_time: float | None,
+    drive_period: float | None,
+    **arguments: Any,
 ) -> None:
     """Propose gains by every tuning rule, from the distorted point and from the right one.
 
@@ -39,7 +46,9 @@ def command(
     """
     from commissioning.cli import show
     from commissioning.cli.identify import measure
+    from commissioning.runs import resolve
     from commissioning.session.tune import DriveLoop, tune_run
+    from profiles.errors import TwoRelayError, UsageError
 
     json_target = arguments["json_target"]
     check_json(json_target)
@@ -52,8 +61,20 @@ def command(
             return
         show.summary(measured, screen)
         run = measured["run"]
+    else:
+        _only_for_targets(context)
+    drive = DriveLoop(drive_dead_time, drive_period)
     with at_desk(screen) as desk, screen.working("every rule on the identified axis"):
-        result, notes = tune_run(run, DriveLoop(drive_dead_time, drive_period), desk)
+        try:
+            result, notes = tune_run(run, drive, desk)
+        except TwoRelayError as error:
+            if error.exit_code >= 3:
+                with contextlib.suppress(UsageError):  # the first error is the one to be told
+                    found = resolve(desk.journal, run)[1].result()
+                    found["status"] = error.status
+                    found["quality"]["reasons"] = [str(error)]
+                    write_json(found, json_target)
+            raise
     write_json(result, json_target)
     show.tuning(result, screen)
     for note in notes:
@@ -62,3 +83,19 @@ def command(
         if found["best"] and found["parameters"]:
             screen.say(f"to write it: tworelay apply {result['run']} --gains {found['rule']}")
     screen.say(f"run {result['run']}")
+
+
+_OF_A_RUN = {"target", "drive_dead_time", "drive_period", "json_target", "yes", "verbose"}
+
+
+def _only_for_targets(context: click.Context) -> None:
+    """Raise UsageError for options of a measurement where a run is tuned that was measured already."""
+    from profiles.errors import UsageError
+
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        source = context.get_parameter_source(name)
+        if name not in _OF_A_RUN and source is click.core.ParameterSource.COMMANDLINE:
+            raise UsageError(
+                f"{parameter.opts[0]} is for a TARGET that is measured first; a RUN was measured already"
+            )

@@ -35,7 +35,7 @@ class Oscillator:
     Parameters
     ----------
     amplitude : d, half of the torque's swing, N.m or N
-    period : s, two times a whole number of cycles
+    period : s, any: the switching sample is fractional
     centre : rad or m
     bias : N.m or N
     gain : |position/torque| of the axis at this frequency, rad/(N.m) or m/N

@@ -114,9 +114,14 @@ def at_phase(
         return None
     from scipy.optimize import brentq
 
-    w = brentq(  # in the logarithm: the range is as wide as axes are different
-        lambda x: _rigid((j, b, tau), exp(x))[1] - phase_deg, log(1e-6 * b / j), log(1e6 * b / j)
-    )
+    try:
+        w = brentq(  # in the logarithm: the range is as wide as axes are different
+            lambda x: _rigid((j, b, tau), exp(x))[1] - phase_deg,
+            log(1e-6 * b / j),
+            log(1e6 * b / j),
+        )
+    except ValueError:  # beyond any frequency that an axis has
+        return None
     return from_model(inertia, viscous, dead_time, 2 * pi / exp(float(w)))
 
 
@@ -126,8 +131,8 @@ def autotuned(
     dead_time: float,
     friction_share: float,
     hysteresis_deg: float,
-) -> tuple[CriticalPoint, CriticalPoint] | None:
-    """What a relay autotuner concludes on a rigid axis with friction, and the plant at that frequency.
+) -> CriticalPoint | None:
+    """What a relay autotuner concludes on a rigid axis with friction.
 
     By describing functions: the limit cycle lies where arg G = arg(−1/N), N = d·e^(−jα) + j·f; the
     autotuner takes N = d·e^(−jα) alone and so |G| for |G|·|N|/d at −180° + α. None where the axis has no
@@ -144,7 +149,7 @@ def autotuned(
     truth = at_phase(j, b, tau, -180 - degrees(phase(both)))
     if truth is None:
         return None
-    return CriticalPoint(truth.gain * abs(both), hysteresis_deg - 180, truth.period), truth
+    return CriticalPoint(truth.gain * abs(both), hysteresis_deg - 180, truth.period)
 
 
 def of_plant(value: complex, period: float) -> CriticalPoint:

@@ -6,6 +6,7 @@ import time
 from importlib.resources import files
 from typing import Any
 
+from commissioning.report.words import GAINS, duration
 from commissioning.runs import Samples
 from profiles.errors import UsageError
 
@@ -21,7 +22,7 @@ def render(result: dict[str, Any], samples: Samples | None, journal: dict[str, A
 
     try:
         return _render(result, samples, journal)
-    except (jinja2.UndefinedError, KeyError, TypeError, ValueError, IndexError) as error:
+    except (jinja2.UndefinedError, LookupError, TypeError, ValueError, ArithmeticError) as error:
         raise UsageError(
             f"run {result.get('run')}: its run.json is damaged or not ours "
             f"({type(error).__name__}: {error})"
@@ -52,10 +53,10 @@ def _render(result: dict[str, Any], samples: Samples | None, journal: dict[str, 
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["si"] = _si
-    environment.filters["seconds"] = _seconds
+    environment.filters["seconds"] = duration
     environment.filters["brief"] = lambda value: "–" if value is None else f"{value:.3g}"
     environment.tests["search"] = lambda text, part: part in text
-    environment.globals["gain_names"] = _GAIN_NAMES
+    environment.globals["gain_names"] = GAINS
     template = environment.from_string(
         (files("commissioning.report") / "report.html.j2").read_text("utf-8")
     )
@@ -63,19 +64,6 @@ def _render(result: dict[str, Any], samples: Samples | None, journal: dict[str, 
     return template.render(
         r=result, pictures=pictures, stages=stages, journal=journal, created=created
     )
-
-
-_GAIN_NAMES = {
-    "gain": ("K", "stiffness"), "integral_time": ("Ti", "dead_time"),
-    "derivative_time": ("Td", "dead_time"), "velocity_gain": ("Kv", "viscous"),
-    "position_gain": ("Kp", ""),
-}  # fmt: skip
-
-
-def _seconds(value: float | None) -> str:
-    if value is None:
-        return "never"
-    return f"{value:.2f} s" if value >= 1 else f"{1000 * value:.0f} ms"
 
 
 def _si(value: float | None, unit: str = "") -> str:

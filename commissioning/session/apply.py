@@ -86,6 +86,14 @@ def apply(
         identity = drive.identity()
         same_drive(identity, record.serial, run_id, drive.link, desk)
         none_unfinished(desk, identity.serial)
+        if tuned:
+            loops = drive.profile.loops
+            if {item["parameter"] for item in tuned["parameters"]} != set(
+                loops.terms.values() if loops else ()
+            ):
+                raise Refused(
+                    f"run {run_id}: its gains are not those that the profile maps; tune it again"
+                )
         if drive.is_energised():
             raise PreflightRefused(
                 "the drive is enabled: its compensation is not changed while it controls the axis; "
@@ -124,7 +132,11 @@ def apply(
 def _gains(result: dict[str, Any], rule: str) -> dict[str, Any]:
     """The set of gains by `rule` for the drive's own loops; raises Refused."""
     run = result["run"]
-    sets = [s for s in result["tuning"] if s["loop"] == "drive" and s["source"] == "corrected"]
+    sets = [
+        s
+        for s in result["tuning"]
+        if s["gains"] and s["loop"] == "drive" and s["source"] == "corrected"
+    ]
     if not sets:
         raise Refused(f"run {run} has no gains for the drive: 'tworelay tune {run}' makes them")
     named = [s for s in sets if s["rule"] == rule]

@@ -204,6 +204,7 @@ def _fill(
         "tests": measured.tests,
         "repeats": measured.repeats,
         "turnaround": _turnaround(recorder),
+        "loop_lag": job.loop_lag,
         "resolution": job.context.resolution,
         "bases": {
             "rated_torque": drive.scaling.rated_torque,
@@ -246,7 +247,7 @@ def _right_point(measured: Measured) -> tuple[CriticalPoint | None, complex]:
     """The plant at the relay's own frequency, and the friction that puts the relay's locus on it."""
     point = measured.corrected
     if point is None:
-        balance = measured.two_relay or measured.two_relay_delay
+        balance = measured.two_relay or measured.two_relay_delay or measured.phase_locked
         if balance is None:  # nothing explains the record
             return None, 0j
         return corrected(measured.relay, balance.complex_coulomb), balance.complex_coulomb

@@ -6,6 +6,8 @@ from dataclasses import replace
 from math import inf
 from typing import TypeVar
 
+import numpy as np
+
 from commissioning.envelope import Envelope
 from commissioning.experiments.creep import balancing_torque
 from commissioning.experiments.design import LONG, SHORT, RelayDesign, design
@@ -30,6 +32,7 @@ from drivers.drive import Drive
 from profiles.axis import Axis
 from profiles.errors import (
     DriveFault,
+    EnvelopeTripped,
     MeasurementRejected,
     PreflightRefused,
     TwoRelayError,
@@ -86,6 +89,9 @@ class Measurement:
         )
         self.units = Units(axis.position_unit, axis.effort_unit)
         self.solver: Solver = "thesis" if options.solver == "thesis" else "bracket"
+        loops = drive.profile.loops
+        self.loop_lag = drive.read(loops.lag) if loops and loops.lag else 0.0  # s
+        self._heat, self._heated = 0.0, 0  # i²t that is left over, and up to which sample
         self.known: FirstLook
         self.stopping: Stopping
         self.plan: RelayDesign
@@ -133,7 +139,7 @@ class Measurement:
         spent = self.recorder.samples[-1].time - self.recorder.samples[0].time if (
             self.recorder.samples
         ) else 0.0  # fmt: skip
-        envelope = replace(self.envelope, spent=spent)
+        envelope = replace(self.envelope, spent=spent, heat=self._heat_left())
         return run(
             plan, self.drive, envelope, self.recorder, self.desk.interruption,
             rest=rest, leave_moving=leave_moving,
@@ -227,9 +233,40 @@ class Measurement:
         """Drive a plan to its end, from and to the torque that balances the axis."""
         return self._run(plan, self._rest)
 
+    def attempt(self, plan: Plan[T]) -> T:
+        """The same for what need not be: a limit that ends it rejects it, once the axis is safe."""
+        try:
+            return self.run(plan)
+        except EnvelopeTripped as error:
+            if self.drive.is_energised():
+                raise
+            raise MeasurementRejected(str(error)) from None
+
+    @property
+    def time_left(self) -> float:
+        """Of the duration that is allowed, s."""
+        samples = self.recorder.samples
+        spent = samples[-1].time - samples[0].time if samples else 0.0
+        return self.limits.duration - spent
+
+    def _heat_left(self) -> float:
+        """Of the i²t budget, what the experiments so far have not given back, (N.m)²·s or N²·s."""
+        samples = self.recorder.samples
+        fresh = samples[max(self._heated - 1, 0) :]
+        self._heated = len(samples)
+        if len(fresh) > 1:
+            time, command = (np.array([getattr(s, k) for s in fresh]) for k in ("time", "command"))
+            steps = np.diff(time)
+            # between two experiments the drive is off
+            power = np.where(steps < 1.0, command[1:] ** 2, 0.0) - self.limits.rated**2
+            total = self._heat + np.cumsum(power * steps)
+            self._heat = float(total[-1] - min(total.min(), 0.0))
+        return self._heat
+
     def heat(self, torque: float, seconds: float) -> float:
-        """Share of the i²t budget that a torque (N.m or N) takes in some seconds."""
-        return max(torque**2 - self.limits.rated**2, 0.0) * seconds / self.envelope.thermal
+        """Share of the i²t budget in use after ± a torque (N.m or N) about the bias for some seconds."""
+        more = torque**2 + self.known.offset**2 - self.limits.rated**2
+        return (self._heat_left() + max(more, 0.0) * seconds) / self.envelope.thermal
 
     def record(self, begin: float, end: float) -> Record:
         """What was recorded between two instants (s), a filter in the position signal undone."""

@@ -17,7 +17,7 @@ from commissioning.experiments.plan import Context, Plan
 from commissioning.experiments.relay import Switching
 from commissioning.experiments.stopping import Stopping
 from commissioning.experiments.two_relay import Solver, TwoRelay, two_relay
-from commissioning.identification.critical_point import CriticalPoint, of_plant
+from commissioning.identification.critical_point import CriticalPoint
 from commissioning.identification.estimate import Estimate
 from commissioning.identification.limit_cycle import LimitCycle
 from commissioning.identification.lock_in import LockIn, Phasors, lock_in, phasors
@@ -78,8 +78,15 @@ class Rig(Protocol):
     def redesign(self, found: ModulatingEstimate) -> bool:
         """Choose the oscillations anew from what a first record tells; False: they were right."""
 
+    def attempt(self, plan: Plan[T]) -> T:
+        """The same for what need not be; raises MeasurementRejected where a limit ends it."""
+
     def heat(self, torque: float, seconds: float) -> float:
-        """Share of the i²t budget that a torque (N.m or N) takes in some seconds."""
+        """Share of the i²t budget in use after ± a torque (N.m or N) about the bias for some seconds."""
+
+    @property
+    def time_left(self) -> float:
+        """Of the duration that is allowed, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -328,8 +335,7 @@ def _phase_locked(rig: Rig) -> Measured:
     measured = _shown(found, record, periods=found.periods)
     kinematics = refined_kinematics(record)
     first, second = (_phasors(record, kinematics, held) for held in found.held)
-    found_plant = measured.phase_locked = phase_locked(first, second)
-    measured.corrected = of_plant(found_plant.plant, found_plant.period)
+    measured.phase_locked = phase_locked(first, second)
     return measured
 
 
@@ -392,8 +398,6 @@ def _all(rig: Rig) -> Measured:
         if other.lock_in is not None and measured.modulating is not None:
             measured.reasons += other.reasons
             measured.reasons.append(agreement(measured.modulating, other.lock_in, rig.units))
-        if name == "two_relay":
-            measured.relay, measured.shown, measured.tests = other.relay, other.shown, other.tests
     return measured
 
 

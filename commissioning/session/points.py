@@ -30,7 +30,8 @@ _SPEED_SHARE = 0.8  # of the speed limit, at the peak
 _FEWEST_COUNTS = 60  # encoder counts of half-swing
 _HEAT_SHARE = 0.5  # of the i²t budget
 _PERIODS = 20  # that an oscillation takes at most, with its start
-_NEAR = 0.4  # degrees from the phase that is wanted
+_START = 5.0  # s, to go where it begins
+_NEAR, _FAR = 0.4, 1.0  # degrees from the phase that is wanted: near enough, and worth a word
 _TRIES = 3
 
 
@@ -59,7 +60,7 @@ def computed(model: dict[str, Estimate | None], phase: float) -> Wished:
 
 
 def points(measured: Measured, rig: Rig, *, move: bool) -> None:
-    """Put both points into `measured`; with `move` measure them, or say why not."""
+    """Put both points into `measured`; with `move` measure them. Says what is not there or not measured."""
     model = {name: measured.estimate(name) for name in ("inertia", "viscous", "dead_time")}
     for key, phase in TARGETS.items():
         wished = computed(model, phase)
@@ -69,7 +70,7 @@ def points(measured: Measured, rig: Rig, *, move: bool) -> None:
             _, travel, why_not = _wanted(wished.point, measured, rig)
             wished = Wished(wished.point, travel, why_not or "not asked for")
         measured.points[key] = wished
-        if wished.why_not and move:
+        if wished.why_not and (move or (wished.point is None and model["inertia"] is not None)):
             how = "computed from the model" if wished.point else "not known"
             measured.reasons.append(
                 Reason(Weight.NOTE, f"the plant at {phase:g}° is {how}: {wished.why_not}")
@@ -84,21 +85,24 @@ def _measured(
     model: dict[str, Estimate | None],
 ) -> Wished:
     """Oscillate at the guess' period, and again where the phase is not the wanted one."""
-    point, found, travel = guess, None, None
+    point, travel = guess, None
+    found: CriticalPoint | None = None
     for _ in range(_TRIES):
         wanted, travel, why_not = _wanted(point, measured, rig)
         if wanted is None:
-            return Wished(guess, travel, why_not)
+            break
         rig.context.tell(
             f"the plant at {phase:g}°: oscillation of ±{wanted.amplitude:.4g} "
             f"{rig.context.effort_unit} at {wanted.period * 1000:.4g} ms"
         )
         try:
-            read = _read(wanted, measured, rig)
+            read, settled = _read(wanted, measured, rig)
         except (MeasurementRejected, ValueError) as error:
-            return Wished(guess, travel, str(error))
+            why_not = str(error)
+            break
         if found is None or abs(read.phase_deg - phase) < abs(found.phase_deg - phase):
             found = read
+            unsettled = not settled
         if abs(read.phase_deg - phase) <= _NEAR:
             break
         # the model's own phase at this period is off by as much
@@ -107,7 +111,15 @@ def _measured(
         if again is None or not -270 < expected < -90:
             break
         point = again
-    assert found is not None
+    if found is None:
+        return Wished(guess, travel, why_not)
+    off = found.phase_deg - phase
+    for applies, text in (
+        (unsettled, f"the oscillation at {phase:g}° did not settle"),
+        (abs(off) > _FAR, f"the point that was measured for {phase:g}° lies {off:+.1f}° from it"),
+    ):
+        if applies:
+            measured.reasons.append(Reason(Weight.DOUBT, text))
     return Wished(found, travel, "")
 
 
@@ -146,6 +158,11 @@ def _wanted(
             )
         elif peak > _SPEED_SHARE * context.speed:
             why_not = f"that takes {peak:.3g} {p}/s, and {context.speed:.3g} {p}/s is allowed"
+        elif _PERIODS * period + _START > rig.time_left:
+            why_not = (
+                f"that takes up to {_PERIODS * period + _START:.0f} s, and {rig.time_left:.0f} s are left of "
+                "--duration"
+            )
         elif rig.heat(wanted.amplitude, _PERIODS * period) > _HEAT_SHARE:
             why_not = f"{_PERIODS * period:.3g} s of its torque would be too much for the motor"
         elif wanted.half_swing < _FEWEST_COUNTS * context.resolution:
@@ -155,16 +172,19 @@ def _wanted(
     return None, travel, why_not
 
 
-def _read(wanted: Wanted, measured: Measured, rig: Rig) -> CriticalPoint:
-    """Run the oscillation and read it, by the law that explains the axis or by the balance."""
-    held, end = rig.run(oscillate_at(rig.context, rig.known, wanted))
+def _read(wanted: Wanted, measured: Measured, rig: Rig) -> tuple[CriticalPoint, bool]:
+    """Run the oscillation and read it, by the law that explains the axis or by the balance.
+
+    Also whether it had settled.
+    """
+    held, end = rig.attempt(oscillate_at(rig.context, rig.known, wanted))
     measured.periods += held.periods
     count = max(round((held.end - held.begin) / held.period - 0.2), 1)
     record = rig.record(held.begin - held.period, end)
     law, balance = measured.modulating, measured.lock_in
     if law is not None and law.held_out < EXPLAINS:
-        return Reader(record, law, held.period).point(held.begin, held.period, count)
+        return Reader(record, law, held.period).point(held.begin, held.period, count), held.settled
     if balance is None:
         raise ValueError("no friction law explains this axis")
     read = phasors(record, kinematics(record), held.begin, held.period, count)
-    return by_balance(read, balance)
+    return by_balance(read, balance), held.settled

@@ -10,8 +10,10 @@ from commissioning.identification.critical_point import CriticalPoint
 from commissioning.runs import resolve
 from commissioning.session.apply import axis_of_run
 from commissioning.session.desk import Desk
+from commissioning.session.points import TARGETS
+from commissioning.tuning.controllers import Gains
 from commissioning.tuning.plant import LoopPlant
-from commissioning.tuning.proposals import Known, Proposal, proposals
+from commissioning.tuning.proposals import Hold, Known, Proposal, proposals
 from commissioning.tuning.rules import Cascade
 from commissioning.tuning.step import Friction, Step
 from drivers.scaling import Scaling
@@ -26,6 +28,7 @@ _SHOWN = 100  # points of a step in the JSON
 _SEEN = 7  # harmonics of a square wave that show the axis
 _RIGID, _RIGID_NOISE = 0.006, 3.0  # of the torque, and times the noise: left by a rigid axis
 _HARMONICS_AGREE = 0.05  # of the friction
+_MOST_PERIODS = 200  # of a drive's loops in their dead time
 _DEFAULT_PERIOD = 0.00025  # s, of a drive's own loops where only their dead time is given
 
 
@@ -55,17 +58,19 @@ def tune(result: dict[str, Any], axis: Axis, profile: Profile, drive: DriveLoop)
     UsageError
         The run is from an older tworelay and lacks what is needed.
     """
-    run = result["run"]
-    if result["status"] != "completed" or result["friction"]["coulomb"]["value"] is None:
+    run = result.get("run")
+    coulomb = result["friction"].get("coulomb")
+    if result["status"] != "completed" or not coulomb or coulomb["value"] is None:
         raise Refused(
             f"run {run} is {result['status']}: without a friction that can be trusted no gain is "
             "proposed; identify the axis again"
         )
     try:
         return _tune(result, axis, profile, drive)
-    except (KeyError, TypeError, IndexError) as error:
+    except (KeyError, TypeError, IndexError, ArithmeticError, ValueError) as error:
         raise UsageError(
-            f"run {run}: lacks what tuning needs ({error}); identify the axis again"
+            f"run {run}: lacks what tuning needs ({type(error).__name__}: {error}); identify the axis "
+            "again"
         ) from None
 
 
@@ -87,7 +92,7 @@ def _tune(result: dict[str, Any], axis: Axis, profile: Profile, drive: DriveLoop
     viscous = known.viscous or 0.0
     host = LoopPlant(known.inertia, viscous, dead_time + experiment["turnaround"], cycle)
     sets = [_json(p, None) for p in proposals(known, "host", host)]
-    own = _own_loop(profile, drive)
+    own = _own_loop(profile, drive, experiment.get("loop_lag", 0.0))
     if own is None:
         notes.append(
             f"no gains for the drive's own loops: profile '{profile.name}' does not say their dead "
@@ -99,7 +104,7 @@ def _tune(result: dict[str, Any], axis: Axis, profile: Profile, drive: DriveLoop
     scaling = Scaling(bases["rated_torque"], bases["increments_per_revolution"], axis.mechanics)
     sets += [
         _json(proposal, _parameters(proposal, profile, scaling))
-        for proposal in proposals(known, "drive", inside)
+        for proposal in proposals(known, "drive", inside, _holder(profile, scaling))
     ]
     return Tuned(_marked(sets), notes)
 
@@ -116,6 +121,11 @@ def _known(result: dict[str, Any]) -> Known:
         friction_share=coulomb / experiment["cycles"][0]["relay_amplitude"],
         naive=_point(points.get("naive")),
         corrected=_point(points.get("corrected")),
+        measured={
+            phase: point
+            for key, phase in TARGETS.items()
+            if (tree := points.get(key)) and tree["how"] == "measured" and (point := _point(tree))
+        },
         friction=Friction(
             coulomb,
             max(first["breakaway"], coulomb),
@@ -149,47 +159,75 @@ def _seen(result: dict[str, Any]) -> float:
     return float((_SEEN if rigid else 1) * fundamental)
 
 
-def _own_loop(profile: Profile, drive: DriveLoop) -> tuple[float, float] | None:
-    """Dead time and period of the drive's own loops, s."""
+def _own_loop(profile: Profile, drive: DriveLoop, lag: float) -> tuple[float, float] | None:
+    """Dead time and period of the drive's own loops, s; `lag`: what the drive itself says of its torque."""
     loops = profile.loops
     dead_time = drive.dead_time
     if dead_time is None:
-        dead_time = None if loops is None else loops.dead_time
+        dead_time = None if loops is None else loops.dead_time + lag
     if dead_time is None:
         return None
-    return dead_time, drive.period or (loops.period if loops else _DEFAULT_PERIOD)
+    period = drive.period or (loops.period if loops else _DEFAULT_PERIOD)
+    if dead_time > _MOST_PERIODS * period:
+        raise UsageError(
+            f"a dead time of {dead_time:g} s is {dead_time / period:.0f} periods of the drive's loops of "
+            f"{period:g} s: at most {_MOST_PERIODS} make a loop; are both in seconds?"
+        )
+    return dead_time, period
+
+
+def _mapped(profile: Profile, gains: Gains | None) -> bool:
+    """Whether the drive has these gains: a cascade, and the profile says where."""
+    has = profile.loops is not None and bool(profile.loops.terms)
+    return has and isinstance(gains, Cascade) and gains.position_gain > 0
+
+
+def _holder(profile: Profile, scaling: Scaling) -> Hold:
+    """Gains as the drive holds them, rounded to its steps; raises ValueError where it cannot."""
+
+    def hold(gains: Gains) -> Gains:
+        if not _mapped(profile, gains) or profile.loops is None:
+            return gains
+        held = {}
+        for term, name in profile.loops.terms.items():
+            parameter, value = profile.parameters[name], getattr(gains, term)
+            try:
+                raw = scaling.checked_raw(name, parameter, value)
+            except WriteFailed as error:
+                text = str(error).removesuffix("; nothing was written")
+                raise ValueError(f"out of range: {text}") from None
+            if not raw:
+                step, unit = scaling.step(parameter), scaling.unit_text(parameter)
+                raise ValueError(
+                    f"too fine: '{name}' would be {value:.3g} {unit}, the drive's step is {step:.3g}"
+                )
+            held[term] = scaling.to_si(parameter, raw)
+        return Cascade(**held)
+
+    return hold
 
 
 def _parameters(
     proposal: Proposal, profile: Profile, scaling: Scaling
-) -> list[dict[str, Any]] | str:
-    """The gains in the drive's own units where the profile maps them, or why the drive cannot hold them."""
-    gains, loops = proposal.gains, profile.loops
-    if loops is None or not isinstance(gains, Cascade):
-        return []
-    if not gains.position_gain:  # the velocity loop alone
-        return []
+) -> list[dict[str, Any]] | None:
+    """The gains in the drive's own units, where the profile maps them."""
+    if not _mapped(profile, proposal.gains) or profile.loops is None or not proposal.proposed:
+        return None
     found = []
-    for term, name in loops.terms.items():
-        parameter, value = profile.parameters[name], getattr(gains, term)
-        try:
-            raw = scaling.checked_raw(name, parameter, value)
-        except WriteFailed as error:
-            return str(error).removesuffix("; nothing was written")
-        new = scaling.to_si(parameter, raw)
+    for term, name in profile.loops.terms.items():
+        parameter, value = profile.parameters[name], getattr(proposal.gains, term)
+        raw = scaling.to_raw(parameter, value)
         found.append(
             {
-                "parameter": name, "new": new, "unit": scaling.unit_text(parameter),
-                "new_raw": raw, "raw_unit": scaling.raw_unit(parameter), "rounded_by": new - value,
+                "parameter": name, "new": value, "unit": scaling.unit_text(parameter),
+                "new_raw": raw, "raw_unit": scaling.raw_unit(parameter),
+                "rounded_by": scaling.to_si(parameter, raw) - value,
             }
         )  # fmt: skip
     return found
 
 
-def _json(proposal: Proposal, parameters: list[dict[str, Any]] | str | None) -> dict[str, Any]:
-    why_not = proposal.why_not
-    if isinstance(parameters, str):
-        why_not, parameters = why_not or parameters, []
+def _json(proposal: Proposal, parameters: list[dict[str, Any]] | None) -> dict[str, Any]:
     worth, point, gains = proposal.margins, proposal.point, proposal.gains
     return {
         "rule": proposal.rule,
@@ -209,9 +247,9 @@ def _json(proposal: Proposal, parameters: list[dict[str, Any]] | str | None) -> 
         "crossover": worth and worth.crossover,
         "bandwidth": worth and worth.bandwidth,
         "step": proposal.step and _step(proposal.step),
-        "proposed": not why_not,
+        "proposed": proposal.proposed,
         "best": False,
-        "why_not": why_not,
+        "why_not": proposal.why_not,
         "parameters": parameters or [],
         "written": False,
     }
@@ -245,6 +283,11 @@ def tune_run(run: str, drive: DriveLoop, desk: Desk) -> tuple[dict[str, Any], li
     result = folder.result()
     axis = axis_of_run(desk.journal.run(run_id), folder, None)
     tuned = tune(result, axis, load_profile(axis.profile or ""), drive)
+    for item in tuned.sets:  # what is in the drive stays said
+        item["written"] = any(
+            before.get("written") and before["parameters"] == item["parameters"] != []
+            for before in result["tuning"]
+        )
     result["tuning"] = tuned.sets
     folder.save(result, None, None)
     return result, tuned.notes

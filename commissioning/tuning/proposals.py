@@ -7,7 +7,12 @@ from dataclasses import dataclass, replace
 from math import degrees, pi
 from typing import Literal
 
-from commissioning.identification.critical_point import CriticalPoint, at_phase, autotuned
+from commissioning.identification.critical_point import (
+    CriticalPoint,
+    at_phase,
+    autotuned,
+    from_model,
+)
 from commissioning.identification.estimate import Estimate
 from commissioning.tuning.controllers import Gains
 from commissioning.tuning.margins import LEAST_MARGIN, MOST_SENSITIVITY, Margins, margins
@@ -26,7 +31,7 @@ from commissioning.tuning.rules import (
 )
 from commissioning.tuning.step import Friction, Step, step
 
-__all__ = ["FEWEST_CYCLES", "RULES", "Known", "LoopName", "Proposal", "Source", "proposals"]
+__all__ = ["FEWEST_CYCLES", "RULES", "Hold", "Known", "LoopName", "Proposal", "Source", "proposals"]
 
 LoopName = Literal["host", "drive"]
 Source = Literal["naive", "corrected"]
@@ -34,6 +39,7 @@ Source = Literal["naive", "corrected"]
 FEWEST_CYCLES = 10  # of the loop in a period of a point: below, the loop cannot be closed there
 _ANY = -190.0  # degrees: the point of a drive's loop for a rule that takes any
 _STUCK = 0.1  # of the step: friction stops the axis short of its goal
+_OVERSHOOT = 0.5  # of the step
 _SEEN = 1.1  # of the frequency to which the axis was seen: how fast a loop may be
 _STEP_SHARE = 0.05  # of the travel
 _DEFAULT_CROSSOVER = 0.3  # over the loop's delay, for the step of a loop without one
@@ -55,6 +61,7 @@ class Known:
     dead_time : of the plant between torque in force and position, s
     friction_share : f/d of the relay test, d half of the relay's swing
     naive, corrected : the relay's own point as an autotuner reads it, and the plant there; None: unknown
+    measured : the plant where an oscillation was held at −180° or −135°, by that phase
     friction : for the step
     travel : rad or m, on either side
     seen : rad/s, up to which the record shows the axis; nothing is known of a resonance beyond
@@ -66,6 +73,7 @@ class Known:
     friction_share: float
     naive: CriticalPoint | None
     corrected: CriticalPoint | None
+    measured: dict[float, CriticalPoint]
     friction: Friction
     travel: float
     seen: float
@@ -105,11 +113,23 @@ class _NotHere(Exception):
     """A rule that this axis or loop has nothing for."""
 
 
-def proposals(known: Known, loop: LoopName, plant: LoopPlant) -> list[Proposal]:
-    """All rules for one loop."""
+Hold = Callable[[Gains], Gains]
+
+
+def _as_they_are(gains: Gains) -> Gains:
+    return gains
+
+
+def proposals(
+    known: Known, loop: LoopName, plant: LoopPlant, hold: Hold = _as_they_are
+) -> list[Proposal]:
+    """All rules for one loop.
+
+    `hold` gives the gains as the controller can hold them, and raises ValueError where it cannot.
+    """
     points = _Points(known, loop, plant)
     sources: tuple[Source, ...] = ("naive", "corrected")
-    return [_one(rule, source, points) for rule in RULES for source in sources]
+    return [_one(rule, source, points, hold) for rule in RULES for source in sources]
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,14 +142,12 @@ class _Points:
 
     def ultimate(self, source: Source) -> CriticalPoint:
         """The point at −180°, or what is taken for it."""
-        if source == "naive":
-            return self._autotuned(0.0)[0]
-        return self._at(-180.0)
+        return self._autotuned(0.0) if source == "naive" else self._at(-180.0)
 
     def any(self, source: Source) -> CriticalPoint:
         """The relay's own point."""
         if self.loop == "drive":
-            return self._autotuned(0.0)[0] if source == "naive" else self._at(_ANY)
+            return self._autotuned(0.0) if source == "naive" else self._at(_ANY)
         known = self.known
         point = known.naive if source == "naive" else known.corrected
         if point is None:
@@ -142,26 +160,36 @@ class _Points:
 
     def at_135(self, source: Source) -> CriticalPoint:
         """The point at −135°, or what a relay with 45° of hysteresis is taken to show."""
-        return self._autotuned(45.0)[0] if source == "naive" else self._at(-135.0)
+        return self._autotuned(45.0) if source == "naive" else self._at(-135.0)
 
     def _at(self, phase: float) -> CriticalPoint:
         j, b, tau = self._model()
-        found = at_phase(j, b, tau, phase)
+        gain, turned = self._seen_at(max(phase, -180.0))
+        found = at_phase(j, b, tau, phase - turned)
         if found is None:
             raise _NotHere(f"the loop's plant has no point at {phase:g}°")
-        return self._within(found)
+        return self._within(replace(found, gain=gain * found.gain, phase_deg=phase))
 
-    def _autotuned(self, hysteresis_deg: float) -> tuple[CriticalPoint, CriticalPoint]:
+    def _seen_at(self, phase: float) -> tuple[float, float]:
+        """By what the measured plant differs from the model near a phase: a factor, and degrees."""
+        known, seen = self.known, self.known.measured.get(phase)
+        if seen is None or known.viscous is None:
+            return 1.0, 0.0
+        j, b, tau = (Estimate(v, v, v) for v in (known.inertia, known.viscous, known.dead_time))
+        model = from_model(j, b, tau, seen.period)
+        return seen.gain / model.gain, (seen.phase_deg - model.phase_deg + 180) % 360 - 180
+
+    def _autotuned(self, hysteresis_deg: float) -> CriticalPoint:
+        """What a relay autotuner with this hysteresis concludes: in the test that was run, or by −1/N."""
         if self.loop == "host" and not hysteresis_deg:
             if self.known.naive is None:
                 raise _NotHere("no relay test was read")
-            return self.known.naive, self.known.naive
+            return self.known.naive
         j, b, tau = self._model()
         found = autotuned(j.value, b.value, tau.value, self.known.friction_share, hysteresis_deg)
         if found is None:
             raise _NotHere("a relay does not oscillate like that on this axis")
-        self._within(found[0])
-        return found
+        return self._within(found)
 
     def _within(self, point: CriticalPoint) -> CriticalPoint:
         cycle = self.plant.cycle
@@ -237,18 +265,23 @@ _MAKE: dict[str, _Make] = {
 }
 
 
-def _one(rule: str, source: Source, points: _Points) -> Proposal:
+def _one(rule: str, source: Source, points: _Points, hold: Hold) -> Proposal:
     try:
         point, gains = _MAKE[rule](points, source)
     except _NotHere as error:
         return Proposal(rule, points.loop, source, None, None, None, None, str(error))
+    cannot = ""
+    try:
+        gains = hold(gains)
+    except ValueError as error:
+        cannot = str(error)
     worth = margins(points.plant, gains)
     moved = None
     if not (isinstance(gains, Cascade) and not gains.position_gain):
         crossover = worth.crossover or _DEFAULT_CROSSOVER / points.plant.delay
         size = _STEP_SHARE * points.known.travel
         moved = step(points.plant, gains, points.known.friction, size, crossover)
-    why_not = _why_not(worth, moved, points.known)
+    why_not = _why_not(worth, moved, points.known) or cannot
     if not why_not and source == "naive":
         why_not = "distorted: from the point as a relay autotuner reads it"
     return Proposal(rule, points.loop, source, point, gains, worth, moved, why_not)
@@ -267,8 +300,16 @@ def _why_not(worth: Margins, moved: Step | None, known: Known) -> str:
             f"too fast: the axis was seen up to {known.seen:.3g} rad/s, and may have a resonance beyond",
         ),
         (
-            moved is not None and abs(moved.error) > _STUCK * goal,
+            moved is not None and abs(moved.error) + moved.hunting > _STUCK * goal,
             "off its goal: friction stops the axis short of it, or it hunts about it",
+        ),
+        (
+            moved is not None and moved.overshoot > _OVERSHOOT,
+            f"overshoots: by more than {100 * _OVERSHOOT:.0f} % with this friction and torque limit",
+        ),
+        (
+            moved is not None and moved.settling is None,
+            "does not settle: it does not stay within 2 % of the step while it was followed",
         ),
     )
     return next((text for applies, text in checks if applies), "")

@@ -73,6 +73,7 @@ _OBJECTS: dict[tuple[int, int], _Entry] = {
     (0x2011, 1): _Entry("velocity_gain", "I"),
     (0x2011, 2): _Entry("integral_time", "I"),
     (0x2011, 3): _Entry("position_gain", "I"),
+    (0x2011, 4): _Entry("torque_lag", "I"),
     (0x2FF0, 0): _Entry("simulation_advance", "I"),
     (0x6007, 0): _Entry("abort_connection_option", "h"),
     (0x603F, 0): _Entry("error_code", "H", "ro"),

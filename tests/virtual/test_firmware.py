@@ -262,3 +262,33 @@ def test_the_encoder_counts_a_turn_as_it_says() -> None:
         else:
             firmware.plant.position = 2 * math.pi
         assert firmware.position == firmware.read("encoder_increments")
+
+
+def test_gains_that_are_set_are_those_of_its_loops_and_a_stop_has_its_own() -> None:
+    """Position P over velocity PI: a velocity gain of 0 moves nothing, and the stop still brakes."""
+    firmware = enable(drive(coulomb="0"), mode=8)
+    firmware.write("position_target", 2000)
+    firmware.advance(200 * MS)
+    assert firmware.position == pytest.approx(2000, abs=20)
+    limp = enable(drive(coulomb="0"), mode=8)
+    for key in ("velocity_gain", "integral_time"):
+        limp.write(key, 0)
+    limp.write("position_target", 2000)
+    limp.advance(200 * MS)
+    assert limp.position == 0
+    limp.plant.velocity = 20.0
+    limp.write("controlword", 0x02)
+    limp.advance(100 * MS)
+    assert limp.plant.velocity < 0.1
+
+
+def test_gains_are_kept_by_a_store_and_lost_by_none(tmp_path: Path) -> None:
+    memory = Memory(tmp_path / "drive.json")
+    firmware = drive(memory=memory)
+    firmware.write("position_gain", 1234)
+    firmware.restart()
+    assert firmware.values["position_gain"] == 5000  # 50/s, as delivered: bandwidth 250/5
+    firmware.write("position_gain", 1234)
+    firmware.store()
+    firmware.restart()
+    assert firmware.values["position_gain"] == 1234

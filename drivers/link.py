@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from drivers.drive import Bus
@@ -17,10 +17,14 @@ from profiles.errors import AccessDenied, IdentityMismatch, LinkError, UsageErro
 from profiles.library import fitting, load_profile
 from profiles.schema import Identity, Profile
 
+if TYPE_CHECKING:
+    from drivers.modbus.wires import Wire
+
 __all__ = ["Link", "axis_of", "is_simulated", "open_drive", "parse"]
 
-SCHEMES = ("virtual", "modbus-tcp", "canopen")
-_MODBUS_PORT = 502
+SCHEMES = ("virtual", "modbus-tcp", "modbus-rtu", "modbus-rtu-tcp", "modbus-tls", "canopen")
+_MODBUS_PORT, _SECURE_PORT = 502, 802
+_BAUDRATE = 115200
 _CONNECT_TIMEOUT = 3.0  # s
 
 Trace = Callable[..., None]
@@ -50,6 +54,9 @@ class Link:
 
 def parse(text: str) -> Link:
     """Split a LINK; raises UsageError."""
+    if text.startswith("modbus-rtu:") and "://" not in text:  # modbus-rtu:COM5
+        head, _, tail = text.partition(":")
+        return replace(parse(f"{head}:///{tail}"), text=text, place=tail.partition("?")[0])
     try:
         parts = urlsplit(text)
     except ValueError as error:
@@ -74,6 +81,8 @@ def is_simulated(text: str) -> bool:
     link = parse(text)
     if link.scheme == "virtual":
         return True
+    if link.scheme == "modbus-rtu":
+        return unquote(link.place).startswith("/dev/pts/")
     if link.scheme == "canopen":
         interface, _, channel = link.place.partition("/")
         if interface == "virtual":
@@ -140,10 +149,10 @@ def open_drive(
     named = load_profile(axis.profile) if axis.profile else None
     if named is not None and named.bus != ("canopen" if link.scheme == "canopen" else "modbus"):
         raise UsageError(f"profile '{named.name}' is for {named.bus}, the link is {link.scheme}://")
-    opener = {"virtual": _open_virtual, "modbus-tcp": _open_modbus, "canopen": _open_canopen}
     if named is not None:
         named = _armed_with(named, axis)
-    bus, profile = opener[link.scheme](link, axis, named, cycle or axis.cycle, trace)
+    opener = {"virtual": _open_virtual, "canopen": _open_canopen}.get(link.scheme, _open_modbus)
+    bus, profile = opener(link, axis, named, cycle or axis.cycle, trace)
     try:
         return ProfiledDrive(bus, profile, axis, link.text, to_stop=to_stop)
     except AccessDenied as error:
@@ -192,25 +201,60 @@ def state_file(link: Link) -> Path:
 def _open_modbus(
     link: Link, axis: Axis, profile: Profile | None, cycle: float | None, trace: Trace | None
 ) -> tuple[Bus, Profile]:
-    _only(link, {"unit", "timeout", "clock"})
-    host, colon, port = link.place.rstrip("/").rpartition(":")
-    if not colon:
-        host, port = port, str(_MODBUS_PORT)
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise UsageError(f"{link.text}: a Modbus link is modbus-tcp://HOST:PORT?unit=N")
     from drivers.modbus.bus import ModbusBus, identify
     from drivers.modbus.client import Client
 
+    wire = _modbus_wire(link, profile)
     unit = link.integer("unit", 0, 255)
     if unit is None:
         unit = profile.link.unit if profile and profile.link.unit is not None else 1
-    client = Client(host.strip("[]"), int(port), unit, _timeout(link, profile), trace)
+    client = Client(wire, unit, _timeout(link, profile), trace)
     try:
         chosen = _armed_with(_agree(identify(client), "modbus", profile), axis)
         return ModbusBus(client, chosen, _pace(link, cycle or chosen.link.cycle)), chosen
     except BaseException:
         client.close()
         raise
+
+
+def _modbus_wire(link: Link, profile: Profile | None) -> Wire:
+    """Where a Modbus LINK leads; raises UsageError."""
+    from drivers.modbus.wires import RtuLine, TcpWire, Tls
+
+    common = {"unit", "timeout", "clock"}
+    gap = profile.link.silence if profile else 0.0
+    if link.scheme == "modbus-rtu":
+        _only(link, common | {"baudrate", "parity", "stopbits"})
+        defaults = profile.link if profile else None
+        parity = link.options.get("parity") or (defaults and defaults.parity) or "N"
+        port = unquote(link.place)
+        if not port.strip("/") or parity not in ("N", "E", "O"):
+            raise UsageError(
+                f"{link.text}: a serial link is modbus-rtu:///dev/ttyUSB0?baudrate=115200&parity=N&unit=1 "
+                "or modbus-rtu:COM5?…, parity N, E or O"
+            )
+        baudrate = link.integer("baudrate", 1200, 4_000_000) or (defaults and defaults.baudrate)
+        stopbits = link.integer("stopbits", 1, 2) or (defaults and defaults.stopbits)
+        return RtuLine(port, baudrate or _BAUDRATE, parity, stopbits or 1, gap)
+    secure = link.scheme == "modbus-tls"
+    _only(link, common | ({"ca", "cert", "key"} if secure else set()))
+    host, colon, port = link.place.rstrip("/").rpartition(":")
+    if not colon:
+        host, port = port, str(_SECURE_PORT if secure else _MODBUS_PORT)
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise UsageError(f"{link.text}: a Modbus link is {link.scheme}://HOST:PORT?unit=N")
+    tls = None
+    if secure:
+        files = {
+            key: Path(link.options[key]) for key in ("ca", "cert", "key") if key in link.options
+        }
+        if "ca" not in files or ("key" in files and "cert" not in files):
+            raise UsageError(
+                f"{link.text}: TLS needs ca=FILE, the authority that signed the drive's certificate, and "
+                "cert=FILE&key=FILE where the drive asks for ours"
+            )
+        tls = Tls(files["ca"], files.get("cert"), files.get("key"))
+    return TcpWire(host.strip("[]"), int(port), link.scheme == "modbus-rtu-tcp", tls, gap)
 
 
 def _open_canopen(

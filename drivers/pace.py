@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from typing import Protocol
 
-__all__ = ["Pace", "StepPace", "WallPace"]
+__all__ = ["Pace", "Silence", "StepPace", "WallPace"]
 
 _SPIN = 0.0004  # s before a deadline in which the thread spins: sleep wakes up that late
 
@@ -65,6 +65,26 @@ class WallPace:
         """Sleep; the next deadline begins a new grid."""
         time.sleep(seconds)
         self._deadline = None
+
+
+class Silence:
+    """The pause that a line wants between frames, in real time."""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+        self._free = 0.0
+
+    def keep(self) -> None:
+        """Wait until the line may be spoken on."""
+        left = self._free - time.perf_counter()
+        if left > _SPIN:
+            time.sleep(left - _SPIN)
+        while time.perf_counter() < self._free:
+            pass
+
+    def begin(self) -> None:
+        """The line was heard, or spoken on, until now."""
+        self._free = time.perf_counter() + self._seconds
 
 
 class StepPace:

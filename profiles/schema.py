@@ -231,6 +231,11 @@ class LinkDefaults(_Strict):
     unit: Annotated[int, Field(ge=0, le=255)] | None = None
     bitrate: int | None = None
     baudrate: int | None = None
+    parity: Literal["N", "E", "O"] | None = None
+    stopbits: Literal[1, 2] | None = None
+    silence: Annotated[float, Field(ge=0)] = (
+        0.0  # s between two frames, where more than the standard's
+    )
     sharing: Literal["shared", "exclusive"] = "shared"
     cycle: Annotated[float, Field(gt=0)] = 0.005  # s
     service_timeout: Annotated[float, Field(gt=0)] = 0.5  # s, one request outside motion

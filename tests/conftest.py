@@ -85,6 +85,8 @@ def serve(tmp_path: Path) -> Iterator[Serve]:
 
 WIRES = {
     "modbus-tcp": ("--modbus-tcp", "127.0.0.1:0"),
+    "modbus-rtu": ("--modbus-rtu", "pty"),
+    "modbus-rtu-tcp": ("--modbus-rtu-tcp", "127.0.0.1:0"),
     "socketcand": ("--socketcand", "127.0.0.1:0"),
     "slcan": ("--slcan", "pty"),
 }
@@ -95,6 +97,14 @@ real_time = pytest.mark.xdist_group("real time")
 @pytest.fixture(params=[*WIRES])
 def wire(request: pytest.FixtureRequest) -> str:
     """Each wire that crosses processes."""
+    if request.param in ("slcan", "modbus-rtu") and os.name == "nt":
+        pytest.skip("no pseudo-terminals on Windows")
+    return str(request.param)
+
+
+@pytest.fixture(params=["modbus-tcp", "socketcand", "slcan"])
+def live_wire(request: pytest.FixtureRequest) -> str:
+    """The wires that are tried in real time, too."""
     if request.param == "slcan" and os.name == "nt":
         pytest.skip("no pseudo-terminals on Windows")
     return str(request.param)

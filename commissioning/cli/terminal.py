@@ -32,6 +32,7 @@ __all__ = [
     "at_desk",
     "axis_from",
     "check_json",
+    "is_target",
     "job_options",
     "options_from",
     "write_json",
@@ -135,9 +136,14 @@ def at_desk(screen: Screen, trace: Callable[..., None] | None = None) -> Generat
         yield Desk(journal, interruption, screen.say, screen.confirm, trace)
 
 
+def is_target(text: str) -> bool:
+    """Whether a text is a TARGET, a LINK or an axis file, and not a RUN."""
+    return "://" in text or text.startswith("modbus-rtu:") or text.endswith(".toml")
+
+
 def axis_from(target: str, profile: str | None) -> Axis:
     """TARGET, a LINK or an axis file, as an axis."""
-    if "://" in target:
+    if "://" in target or target.startswith("modbus-rtu:"):
         axis = axis_of(target)
     elif target.endswith(".toml"):
         axis = load_axis(Path(target))
@@ -146,7 +152,7 @@ def axis_from(target: str, profile: str | None) -> Axis:
     else:
         raise UsageError(
             f"'{target:.80}' is no link and no axis file; a link begins with virtual://, "
-            "modbus-tcp:// or canopen://, an axis file ends with .toml"
+            "modbus-tcp://, modbus-rtu: or canopen://, an axis file ends with .toml"
         )
     return axis.model_copy(update={"profile": profile}) if profile else axis
 

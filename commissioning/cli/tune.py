@@ -12,6 +12,7 @@ from commissioning.cli.terminal import (
     Screen,
     at_desk,
     check_json,
+    is_target,
     job_options,
     write_json,
 )
@@ -54,7 +55,7 @@ def command(
     check_json(json_target)
     screen = Screen(json_target, yes=arguments["yes"])
     run = target
-    if "://" in target or target.endswith(".toml"):
+    if is_target(target):
         measured = measure(target, screen, {**arguments, "points": True})
         if arguments["dry_run"]:
             write_json(measured, json_target)

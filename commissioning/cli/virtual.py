@@ -57,6 +57,8 @@ def list_axes(as_json: bool) -> None:
     help="Option of the axis, as in a virtual:// link.",
 )
 @click.option("--modbus-tcp", metavar="HOST:PORT", help="Modbus TCP; port 0 is any free one.")
+@click.option("--modbus-rtu", type=click.Choice(["pty"]), help="Modbus RTU on a pseudo-terminal.")
+@click.option("--modbus-rtu-tcp", metavar="HOST:PORT", help="Modbus RTU frames over TCP.")
 @click.option("--socketcand", metavar="HOST:PORT", help="CANopen by the socketcand protocol.")
 @click.option("--slcan", type=click.Choice(["pty"]), help="CANopen by slcan on a pseudo-terminal.")
 @click.option("--clock", type=click.Choice(["wall", "step"]), default="wall", show_default=True)
@@ -70,6 +72,8 @@ def serve_axis(
     axis: str,
     changes: tuple[str, ...],
     modbus_tcp: str | None,
+    modbus_rtu: str | None,
+    modbus_rtu_tcp: str | None,
     socketcand: str | None,
     slcan: str | None,
     clock: Literal["wall", "step"],
@@ -84,10 +88,17 @@ def serve_axis(
     query = "&".join(changes)
     link = parse(f"virtual://{axis}" + (f"{'&' if '?' in axis else '?'}{query}" if query else ""))
     options = {key: value for key, value in link.options.items() if key != "state"}
-    endpoints = Endpoints(_place(modbus_tcp), _place(socketcand), slcan == "pty")
+    endpoints = Endpoints(
+        modbus_tcp=_place(modbus_tcp),
+        modbus_rtu_tcp=_place(modbus_rtu_tcp),
+        modbus_rtu_pty=modbus_rtu == "pty",
+        socketcand=_place(socketcand),
+        slcan_pty=slcan == "pty",
+    )
     if endpoints == Endpoints():
         raise UsageError(
-            "serve where? Give --modbus-tcp HOST:PORT, --socketcand HOST:PORT or --slcan pty"
+            "serve where? Give --modbus-tcp HOST:PORT, --modbus-rtu pty, --modbus-rtu-tcp HOST:PORT, "
+            "--socketcand HOST:PORT or --slcan pty"
         )
     served = configured(link.place, options)
     for key in ("jitter", "loss", "stamp"):

@@ -8,10 +8,14 @@ import socket
 from collections.abc import Callable
 from typing import Any
 
+from pymodbus import FramerType
 from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
 
+from drivers.modbus.serial_line import SerialClient
+from drivers.modbus.wires import RtuLine, TcpWire, Wire
+from drivers.pace import Silence
 from profiles.errors import AccessDenied, LinkError, LinkLost
 
 __all__ = ["Client", "NoAnswer"]
@@ -46,40 +50,30 @@ class Client:
 
     Parameters
     ----------
-    host, port, unit : where the drive is
+    wire : where the drive is, and how it is talked to there
+    unit : address of the drive on that wire
     timeout : s, for connecting and for requests outside the cycle
     trace : called with (sending, bytes) for every frame
 
     Raises
     ------
     LinkError
-        The host cannot be reached.
+        The host or the port cannot be reached.
     """
 
-    def __init__(
-        self, host: str, port: int, unit: int, timeout: float, trace: Trace | None = None
-    ) -> None:
-        self.where = f"{host}:{port} unit {unit}"
+    def __init__(self, wire: Wire, unit: int, timeout: float, trace: Trace | None = None) -> None:
+        self.where = f"{wire} unit {unit}"
         self._unit = unit
         self._timeout = timeout
         self._trace = trace
         self._heard = 0
-        self._client = ModbusTcpClient(
-            host, port=port, timeout=timeout, retries=0, trace_packet=self._on_packet
-        )
-        try:
-            self._client.socket = socket.create_connection((host, port), timeout)
-        except TimeoutError:
-            raise LinkError(
-                f"{host}:{port} does not answer within {timeout:g} s; is the address right, the "
-                "cable in, the drive on?"
-            ) from None
-        except OSError as error:
-            raise LinkError(
-                f"cannot connect to {host}:{port}: {error.strerror or error}; is the address "
-                "right, and Modbus TCP switched on in the drive?"
-            ) from None
-        self._client.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._silence = Silence(wire.silence) if wire.silence else None
+        self._no_transactions = isinstance(wire, TcpWire) and wire.rtu
+        self._client: ModbusTcpClient | SerialClient
+        if isinstance(wire, RtuLine):
+            self._client = SerialClient(wire, timeout, self._on_packet)
+        else:
+            self._client = _connected(wire, timeout, self._on_packet)
 
     def _on_packet(self, sending: bool, data: bytes) -> bytes:
         if not sending:
@@ -99,6 +93,10 @@ class Client:
         client.comm_params.timeout_connect = self._timeout if timeout is None else timeout
         client.transaction.comm_params.timeout_connect = client.comm_params.timeout_connect
         self._heard = 0
+        if self._silence is not None:
+            self._silence.keep()
+        if self._no_transactions:
+            self._forget(client.socket)
         try:
             answer = request(device_id=self._unit, **arguments)
         except ConnectionException:
@@ -124,6 +122,9 @@ class Client:
             raise LinkError(
                 f"{self.where} sent an answer that is no Modbus ({type(error).__name__}: {error})"
             ) from None
+        finally:
+            if self._silence is not None:
+                self._silence.begin()
         if answer.isError():
             code = getattr(answer, "exception_code", 0)
             raise AccessDenied(
@@ -131,6 +132,14 @@ class Client:
                 f"({_EXCEPTIONS.get(code, 'unknown')})"
             )
         return answer
+
+    @staticmethod
+    def _forget(stream: Any) -> None:
+        """Drop what came late: an RTU frame does not say which request it answers."""
+        stream.setblocking(False)
+        with contextlib.suppress(OSError):
+            while stream.recv(4096):
+                pass
 
     def read(
         self, function: int, address: int, count: int, timeout: float | None = None
@@ -199,3 +208,30 @@ class Client:
     def close(self) -> None:
         """Close the connection."""
         self._drop()
+
+
+def _connected(
+    wire: TcpWire, timeout: float, on_packet: Callable[[bool, bytes], bytes]
+) -> ModbusTcpClient:
+    """A client on an open socket; raises LinkError."""
+    framer = FramerType.RTU if wire.rtu else FramerType.SOCKET
+    client = ModbusTcpClient(
+        wire.host, port=wire.port, framer=framer, timeout=timeout, retries=0,
+        trace_packet=on_packet,
+    )  # fmt: skip
+    place = f"{wire.host}:{wire.port}"
+    try:
+        plain = socket.create_connection((wire.host, wire.port), timeout)
+    except TimeoutError:
+        raise LinkError(
+            f"{place} does not answer within {timeout:g} s; is the address right, the cable in, the "
+            "drive on?"
+        ) from None
+    except OSError as error:
+        raise LinkError(
+            f"cannot connect to {place}: {error.strerror or error}; is the address right, and Modbus "
+            "TCP switched on in the drive?"
+        ) from None
+    plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    client.socket = plain if wire.tls is None else wire.tls.wrap(plain, wire.host)
+    return client

@@ -1,9 +1,10 @@
-"""The virtual drive on Modbus TCP: pymodbus' server around the register map."""
+"""The virtual drive on Modbus, TCP or RTU frames: pymodbus' server around the register map."""
 
 from __future__ import annotations
 
 import logging
 
+from pymodbus import FramerType
 from pymodbus.constants import ExcCodes
 from pymodbus.pdu.device import ModbusDeviceIdentification
 from pymodbus.server import ModbusTcpServer
@@ -27,9 +28,12 @@ _WRITE_SINGLE = 6
 
 
 async def start_modbus_tcp(
-    registers: RegisterMap, host: str, port: int, unit: int
+    registers: RegisterMap, host: str, port: int, unit: int, *, rtu: bool = False
 ) -> tuple[ModbusTcpServer, int]:
-    """Listen on host:port (0: any free one); return the server and the port it has."""
+    """Listen on host:port (0: any free one); return the server and the port it has.
+
+    `rtu`: frames as on a serial line, where a unit that is not there is silent.
+    """
 
     async def access(
         function: int,
@@ -58,8 +62,10 @@ async def start_modbus_tcp(
     memory = SimData(FIRST, values=[0] * (LAST + 1 - FIRST), datatype=DataType.REGISTERS)
     server = ModbusTcpServer(
         SimDevice(unit, simdata=[memory], action=access),
+        framer=FramerType.RTU if rtu else FramerType.SOCKET,
         identity=identity,
         address=(host, port),
+        ignore_missing_devices=rtu,
     )
     await server.serve_forever(background=True)
     listener = server.transport

@@ -20,7 +20,7 @@ __all__ = ["Endpoints", "serve"]
 _POLL = 0.002  # s: how often timers of the drive run while nobody talks to it
 NODE = 5
 UNIT = 1
-BITRATE = 500_000
+BITRATE, BAUDRATE = 500_000, 115_200
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +28,8 @@ class Endpoints:
     """Where to serve: (host, port) or None; port 0 is any free one."""
 
     modbus_tcp: tuple[str, int] | None = None
+    modbus_rtu_tcp: tuple[str, int] | None = None
+    modbus_rtu_pty: bool = False
     socketcand: tuple[str, int] | None = None
     slcan_pty: bool = False
 
@@ -72,12 +74,17 @@ async def _serve(
         try:
             if endpoints.modbus_tcp is not None:
                 announce(await _modbus(stack, device, endpoints.modbus_tcp) + suffix)
+            if endpoints.modbus_rtu_tcp is not None:
+                announce(await _modbus(stack, device, endpoints.modbus_rtu_tcp, rtu=True) + suffix)
+            if endpoints.modbus_rtu_pty:
+                announce(await _serial(stack, device) + suffix)
             if endpoints.socketcand is not None or endpoints.slcan_pty:
                 poll, links = await _canopen(stack, device, endpoints)
                 for link in links:
                     announce(link + suffix)
         except (OSError, RuntimeError) as error:
-            places = [p for p in (endpoints.modbus_tcp, endpoints.socketcand) if p is not None]
+            asked = (endpoints.modbus_tcp, endpoints.modbus_rtu_tcp, endpoints.socketcand)
+            places = [p for p in asked if p is not None]
             where = " or ".join(f"{host}:{port}" for host, port in places)
             raise UsageError(
                 f"cannot serve on {where}: the port is taken, or the address is not this machine's "
@@ -90,13 +97,37 @@ async def _serve(
     return received
 
 
-async def _modbus(stack: contextlib.AsyncExitStack, device: Device, place: tuple[str, int]) -> str:
+async def _modbus(
+    stack: contextlib.AsyncExitStack,
+    device: Device,
+    place: tuple[str, int],
+    *,
+    rtu: bool = False,
+) -> str:
     from drivers.virtual.modbus_server import start_modbus_tcp
     from drivers.virtual.registers import RegisterMap
 
-    server, port = await start_modbus_tcp(RegisterMap(device), *place, UNIT)
+    server, port = await start_modbus_tcp(RegisterMap(device), *place, UNIT, rtu=rtu)
     stack.push_async_callback(server.shutdown)
-    return f"modbus-tcp://{_host(place[0])}:{port}?unit={UNIT}"
+    scheme = "modbus-rtu-tcp" if rtu else "modbus-tcp"
+    return f"{scheme}://{_host(place[0])}:{port}?unit={UNIT}"
+
+
+async def _serial(stack: contextlib.AsyncExitStack, device: Device) -> str:
+    from drivers.virtual.modbus_server import start_modbus_tcp
+    from drivers.virtual.registers import RegisterMap
+
+    try:
+        from drivers.virtual.rtu_pty import RtuPty
+
+        line = RtuPty()
+    except ImportError:
+        raise UsageError("this system has no pseudo-terminals: use --modbus-rtu-tcp") from None
+    server, port = await start_modbus_tcp(RegisterMap(device), "127.0.0.1", 0, UNIT, rtu=True)
+    stack.push_async_callback(server.shutdown)
+    await line.join(port)
+    stack.push_async_callback(line.close)
+    return f"modbus-rtu://{line.path}?baudrate={BAUDRATE}&unit={UNIT}"
 
 
 async def _canopen(

@@ -259,8 +259,10 @@ def wait_for(process: subprocess.Popen[str], words: str) -> None:
 @real_time
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_ctrl_c_in_mid_test(serve: Serve, wire: str, number: signal.Signals, code: int) -> None:
-    link = serve("bench", *WIRES[wire])[0]
+def test_ctrl_c_in_mid_test(
+    serve: Serve, live_wire: str, number: signal.Signals, code: int
+) -> None:
+    link = serve("bench", *WIRES[live_wire])[0]
     with running("identify", link, *PATIENT, *LONG) as process:
         wait_for(process, "staging")
         process.send_signal(number)
@@ -375,9 +377,9 @@ def test_a_run_killed_with_a_profile_of_its_own_can_be_restored(
 @real_time
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_killed_in_mid_test_the_drive_stops_and_restore_completes(
-    tworelay: Tworelay, serve: Serve, wire: str
+    tworelay: Tworelay, serve: Serve, live_wire: str
 ) -> None:
-    link = serve("bench", *WIRES[wire])[0]
+    link = serve("bench", *WIRES[live_wire])[0]
     with running("identify", link, *PATIENT, *LONG) as process:
         wait_for(process, "staging")
         process.kill()

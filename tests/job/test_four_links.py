@@ -71,8 +71,8 @@ def test_over_a_wire_step_by_step(
 
 
 @real_time
-def test_over_a_wire_in_real_time(tworelay: Tworelay, serve: Serve, wire: str) -> None:
-    link = serve("bench", *WIRES[wire])[0]
+def test_over_a_wire_in_real_time(tworelay: Tworelay, serve: Serve, live_wire: str) -> None:
+    link = serve("bench", *WIRES[live_wire])[0]
     # a test machine stalls: averages over settled periods bear with it, a dozen periods need not
     result = commission(
         tworelay, link, "--cycle", "0.004", "--method", "two-relay", *PATIENT, travel="±20"

@@ -11,6 +11,7 @@ import pytest
 
 from drivers.modbus.bus import ModbusBus
 from drivers.modbus.client import Client, NoAnswer
+from drivers.modbus.wires import TcpWire
 from drivers.pace import WallPace
 from profiles.errors import AccessDenied, LinkError, LinkLost
 from profiles.library import load_profile
@@ -48,7 +49,7 @@ def test_read_holding_registers() -> None:
     # MBAP: transaction 1, protocol 0, length 6, unit 1; FC 03, address 0300h, 2 registers
     script = [("00 01 00 00 00 06 01 03 03 00 00 02", "00 01 00 00 00 07 01 03 04 00 0F 42 40")]
     with peer(script) as (port, _):
-        client = Client("127.0.0.1", port, 1, 1.0)
+        client = Client(TcpWire("127.0.0.1", port), 1, 1.0)
         assert client.read(3, 0x0300, 2) == [0x000F, 0x4240]
         client.close()
 
@@ -62,7 +63,7 @@ def test_write_single_and_multiple_registers() -> None:
         ),
     ]
     with peer(script) as (port, _):
-        client = Client("127.0.0.1", port, 1, 1.0)
+        client = Client(TcpWire("127.0.0.1", port), 1, 1.0)
         client.write(6, 0x0110, [0x000F])
         client.write(16, 0x0312, [0, 3000])
         client.close()
@@ -74,7 +75,7 @@ def test_the_cycle_is_one_fc_23_with_the_profile_s_blocks() -> None:
     # statusword 1237h, error 0, position -2, torque -249
     answer = "00 01 00 00 00 0D 01 17 0A 12 37 00 00 FF FF FF FE FF 07"
     with peer([(request, answer)]) as (port, _):
-        client = Client("127.0.0.1", port, 1, 1.0)
+        client = Client(TcpWire("127.0.0.1", port), 1, 1.0)
         bus = ModbusBus(client, load_profile("virtual-modbus"), WallPace(0.005))
         found = bus.exchange((-250, 0))
         assert found.values == (0x1237, 0, -2, -249)
@@ -85,7 +86,7 @@ def test_the_cycle_is_one_fc_23_with_the_profile_s_blocks() -> None:
 def test_an_exception_answer_is_a_refusal_with_its_name() -> None:
     script = [("00 01 00 00 00 06 01 03 99 99 00 01", "00 01 00 00 00 03 01 83 02")]
     with peer(script) as (port, _):
-        client = Client("127.0.0.1", port, 1, 1.0)
+        client = Client(TcpWire("127.0.0.1", port), 1, 1.0)
         with pytest.raises(AccessDenied, match=r"exception 2 \(illegal data address\)"):
             client.read(3, 0x9999, 1)
         client.close()
@@ -93,7 +94,7 @@ def test_an_exception_answer_is_a_refusal_with_its_name() -> None:
 
 def test_silence_is_no_answer_and_is_never_sent_again() -> None:
     with peer([("00 01 00 00 00 06 01 03 00 00 00 01", "")]) as (port, heard):
-        client = Client("127.0.0.1", port, 1, 0.05)
+        client = Client(TcpWire("127.0.0.1", port), 1, 0.05)
         with pytest.raises(NoAnswer, match="does not answer within 50 ms"):
             client.read(3, 0, 1)
         assert len(heard) == 1
@@ -109,7 +110,7 @@ def test_a_late_answer_is_discarded_by_its_transaction() -> None:
         ),
     ]
     with peer(script) as (port, _):
-        client = Client("127.0.0.1", port, 1, 0.05)
+        client = Client(TcpWire("127.0.0.1", port), 1, 0.05)
         with pytest.raises(NoAnswer):
             client.read(3, 0, 1)
         assert client.read(3, 0, 1, 1.0) == [0xBBBB]
@@ -119,7 +120,7 @@ def test_a_late_answer_is_discarded_by_its_transaction() -> None:
 def test_garbage_is_said_to_be_no_modbus() -> None:
     script = [("00 01 00 00 00 06 01 03 00 00 00 01", b"SSH-2.0-OpenSSH_9.2\r\n".hex())]
     with peer(script) as (port, _):
-        client = Client("127.0.0.1", port, 1, 0.1)
+        client = Client(TcpWire("127.0.0.1", port), 1, 0.1)
         with pytest.raises(LinkError, match="is it a Modbus port"):
             client.read(3, 0, 1)
         client.close()
@@ -130,7 +131,9 @@ def test_three_silent_cycles_are_a_lost_link() -> None:
     script = [(request.format(n), "") for n in (1, 2, 3)]
     with peer(script) as (port, _):
         bus = ModbusBus(
-            Client("127.0.0.1", port, 1, 1.0), load_profile("virtual-modbus"), WallPace(0.02)
+            Client(TcpWire("127.0.0.1", port), 1, 1.0),
+            load_profile("virtual-modbus"),
+            WallPace(0.02),
         )
         with pytest.raises(LinkLost, match="no answer for 3 cycles of 20 ms"):
             bus.exchange((100, 0))
@@ -141,4 +144,4 @@ def test_nobody_there_is_said_plainly() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     with pytest.raises(LinkError, match=f"cannot connect to 127.0.0.1:{port}"):
-        Client("127.0.0.1", port, 1, 0.5)
+        Client(TcpWire("127.0.0.1", port), 1, 0.5)

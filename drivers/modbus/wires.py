@@ -1,0 +1,101 @@
+"""What a Modbus unit is reached by: TCP, RTU over TCP, TLS, or a serial line."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+from dataclasses import dataclass
+from pathlib import Path
+
+from profiles.errors import LinkError, UsageError
+
+__all__ = ["RtuLine", "TcpWire", "Tls", "Wire"]
+
+_FAST = 19200  # baud, above which the silence no longer shrinks
+_FAST_SILENCE = 0.00175  # s (Modbus over Serial Line V1.02, 2.5.1.1)
+
+
+@dataclass(frozen=True, slots=True)
+class Tls:
+    """Certificates of a Modbus/TCP Security link (files in PEM).
+
+    Parameters
+    ----------
+    authority : whose certificate the drive's must be signed by
+    certificate, key : of this client, where the drive asks for one
+    """
+
+    authority: Path
+    certificate: Path | None = None
+    key: Path | None = None
+
+    def wrap(self, plain: socket.socket, host: str) -> ssl.SSLSocket:
+        """The socket under TLS; raises LinkError, UsageError."""
+        try:
+            context = ssl.create_default_context(cafile=str(self.authority))
+            if self.certificate is not None:
+                context.load_cert_chain(self.certificate, self.key)
+        except (OSError, ssl.SSLError) as error:
+            plain.close()
+            raise UsageError(f"the certificates cannot be read: {error}") from None
+        try:
+            return context.wrap_socket(plain, server_hostname=host)
+        except (OSError, ssl.SSLError) as error:
+            plain.close()
+            reason = getattr(error, "verify_message", "") or getattr(error, "reason", "") or error
+            raise LinkError(
+                f"no TLS with {host}: {reason}; is it a Modbus/TCP Security port, and are the "
+                "certificates for this drive?"
+            ) from None
+
+
+@dataclass(frozen=True, slots=True)
+class TcpWire:
+    """A TCP connection; `rtu`: a gateway that passes serial frames on; `tls`: under these certificates."""
+
+    host: str
+    port: int
+    rtu: bool = False
+    tls: Tls | None = None
+    silence: float = 0.0  # s between two frames
+
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port}"
+
+
+@dataclass(frozen=True, slots=True)
+class RtuLine:
+    """A serial line with Modbus RTU.
+
+    Parameters
+    ----------
+    port : /dev/ttyUSB0 or COM5
+    baudrate : bits a second
+    parity : N, E or O
+    stopbits : 1 or 2
+    gap : s of silence between frames that the drive wants; 0: the standard's 3.5 characters
+    """
+
+    port: str
+    baudrate: int
+    parity: str = "N"
+    stopbits: int = 1
+    gap: float = 0.0
+
+    @property
+    def character(self) -> float:
+        """Time of one character, s: start, eight data bits, parity, stop."""
+        bits = 1 + 8 + (self.parity != "N") + self.stopbits
+        return bits / self.baudrate
+
+    @property
+    def silence(self) -> float:
+        """Time between two frames, s."""
+        standard = _FAST_SILENCE if self.baudrate > _FAST else 3.5 * self.character
+        return max(standard, self.gap)
+
+    def __str__(self) -> str:
+        return f"{self.port} at {self.baudrate} baud 8{self.parity}{self.stopbits}"
+
+
+Wire = TcpWire | RtuLine

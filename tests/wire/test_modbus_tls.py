@@ -1,0 +1,86 @@
+"""Modbus/TCP Security: the ordinary frame inside TLS, with certificates both ways."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import ssl
+import subprocess
+import threading
+from pathlib import Path
+
+import pytest
+
+from drivers.link import axis_of, open_drive
+from drivers.modbus.client import Client
+from drivers.modbus.wires import TcpWire, Tls
+from profiles.errors import LinkError, UsageError
+
+pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl to make keys")
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Self-signed certificates of a drive and of a client, and the keys."""
+    folder = tmp_path_factory.mktemp("keys")
+    for name in ("drive", "client", "other"):
+        subprocess.run(
+            ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2",
+             "-keyout", str(folder / f"{name}.key"), "-out", str(folder / f"{name}.pem"),
+             "-subj", f"/CN={name}", "-addext", "subjectAltName=IP:127.0.0.1"],
+            check=True, capture_output=True,
+        )  # fmt: skip
+    return folder
+
+
+def serve(keys: Path, heard: list[bytes]) -> tuple[int, threading.Thread]:
+    """A drive that asks for the client's certificate and answers one read."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(keys / "drive.pem", keys / "drive.key")
+    context.load_verify_locations(keys / "client.pem")
+    context.verify_mode = ssl.CERT_REQUIRED
+    listener = socket.create_server(("127.0.0.1", 0))
+    listener.settimeout(10)
+
+    def run() -> None:
+        plain, _ = listener.accept()
+        try:
+            with context.wrap_socket(plain, server_side=True) as secure:
+                heard.append(secure.recv(100))
+                secure.sendall(bytes.fromhex("00 01 00 00 00 05 01 03 02 12 34"))
+                secure.recv(100)
+        except OSError:
+            plain.close()
+        listener.close()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    return listener.getsockname()[1], thread
+
+
+def test_the_frame_is_the_ordinary_one_inside_tls(keys: Path) -> None:
+    heard: list[bytes] = []
+    port, thread = serve(keys, heard)
+    tls = Tls(keys / "drive.pem", keys / "client.pem", keys / "client.key")
+    client = Client(TcpWire("127.0.0.1", port, tls=tls), 1, 2.0)
+    assert client.read(3, 0, 1) == [0x1234]
+    client.close()
+    thread.join()
+    assert heard == [bytes.fromhex("00 01 00 00 00 06 01 03 00 00 00 01")]
+
+
+def test_a_drive_with_another_authority_is_not_talked_to(keys: Path) -> None:
+    heard: list[bytes] = []
+    port, thread = serve(keys, heard)
+    with pytest.raises(LinkError, match=r"no TLS with 127.0.0.1: .*self.signed certificate"):
+        Client(TcpWire("127.0.0.1", port, tls=Tls(keys / "other.pem")), 1, 2.0)
+    thread.join()
+    assert heard == []
+
+
+def test_links_say_what_they_lack(keys: Path) -> None:
+    with pytest.raises(UsageError, match="TLS needs ca=FILE"):
+        open_drive(axis_of("modbus-tls://127.0.0.1:802?unit=1"))
+    missing = axis_of(f"modbus-tls://127.0.0.1:1?unit=1&ca={keys}/nosuch.pem")
+    with pytest.raises(LinkError, match="cannot connect"):
+        open_drive(missing)

@@ -8,12 +8,12 @@ import socket
 from collections.abc import Callable
 from typing import Any
 
+import serial
 from pymodbus import FramerType
-from pymodbus.client import ModbusTcpClient
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
 
-from drivers.modbus.serial_line import SerialClient
 from drivers.modbus.wires import RtuLine, TcpWire, Wire
 from drivers.pace import Silence
 from profiles.errors import AccessDenied, LinkError, LinkLost
@@ -69,9 +69,9 @@ class Client:
         self._heard = 0
         self._silence = Silence(wire.silence) if wire.silence else None
         self._no_transactions = isinstance(wire, TcpWire) and wire.rtu
-        self._client: ModbusTcpClient | SerialClient
+        self._client: ModbusTcpClient | _SerialClient
         if isinstance(wire, RtuLine):
-            self._client = SerialClient(wire, timeout, self._on_packet)
+            self._client = _SerialClient(wire, timeout, self._on_packet)
         else:
             self._client = _connected(wire, timeout, self._on_packet)
 
@@ -235,3 +235,48 @@ def _connected(
     plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     client.socket = plain if wire.tls is None else wire.tls.wrap(plain, wire.host)
     return client
+
+
+_WORDS = {
+    2: "there is no such port; is the adapter plugged in, and its driver there?",
+    13: "this user may not use it (on Linux: add the user to group dialout, then log in again)",
+    16: "another program has it open",
+}
+
+
+class _SerialClient(ModbusSerialClient):
+    """A client on an open serial port; raises LinkError.
+
+    It waits for bytes, where the library's own looks for them every millisecond.
+    """
+
+    def __init__(
+        self, line: RtuLine, timeout: float, on_packet: Callable[[bool, bytes], bytes]
+    ) -> None:
+        super().__init__(
+            line.port, baudrate=line.baudrate, parity=line.parity, stopbits=line.stopbits,
+            timeout=timeout, retries=0, trace_packet=on_packet,
+        )  # fmt: skip
+        try:
+            self.socket = serial.serial_for_url(
+                line.port, baudrate=line.baudrate, parity=line.parity, stopbits=line.stopbits,
+                timeout=timeout, write_timeout=timeout, exclusive=True,
+            )  # fmt: skip
+        except (OSError, ValueError) as error:  # pyserial's own errors are OSErrors
+            number = getattr(error, "errno", None) or 0
+            text = str(error)
+            words = _WORDS.get(number, "") or (_WORDS[16] if "lock" in text else "")
+            raise LinkError(f"cannot open {line.port}: {words or text}") from None
+
+    def recv(self, size: int | None) -> bytes:
+        """What there is, as soon as there is anything."""
+        port = self.socket
+        if port is None:
+            raise ConnectionException(str(self))
+        try:
+            port.timeout = self.comm_params.timeout_connect
+            first: bytes = port.read(1)
+            return first + port.read(port.in_waiting) if first else b""
+        except OSError:
+            self.close()  # type: ignore[no-untyped-call]
+            raise ConnectionException(str(self)) from None

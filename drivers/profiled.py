@@ -64,24 +64,42 @@ class ProfiledDrive:
         self._torque_step = self._step("torque_actual") if self._at_torque is not None else nan
 
     def _read_bases(self, axis: Axis) -> Scaling:
-        rated = axis.rated_torque
-        base = self._parameter("rated_torque")
-        if rated is None:
-            rated = self.read_raw("rated_torque") * base.scale
-            if rated <= 0:
-                raise PreflightRefused(
-                    f"the drive's rated torque ({base.address}) is {rated:g} N.m, so its torque "
-                    "scale is unknown; set up the motor data in the drive, or give rated_torque "
-                    "in the axis file"
-                )
+        rated = axis.rated_torque if axis.rated_torque is not None else self._rated_torque()
+        encoder = axis.encoder if axis.encoder is not None else self._encoder()
+        return Scaling(rated, encoder, axis.mechanics)
+
+    def _rated_torque(self) -> float:
+        """Of the motor, N.m; raises PreflightRefused where the drive does not tell it."""
+        base = self.profile.parameters.get("rated_torque")
+        if base is None:
+            raise PreflightRefused(
+                f"profile '{self.profile.name}' has no rated torque, so the torque scale is unknown; give "
+                "rated_torque (N.m of the motor) in the axis file"
+            )
+        rated = self.read_raw("rated_torque") * base.scale
+        if rated <= 0:
+            raise PreflightRefused(
+                f"the drive's rated torque ({base.address}) is {rated:g} N.m, so its torque scale is "
+                "unknown; set up the motor data in the drive, or give rated_torque in the axis file"
+            )
+        return rated
+
+    def _encoder(self) -> float:
+        """Increments per motor revolution; raises PreflightRefused where the drive does not tell them."""
+        known = self.profile.parameters
+        if "encoder_increments" not in known:
+            raise PreflightRefused(
+                f"profile '{self.profile.name}' has no encoder resolution, so the position scale is "
+                "unknown; give encoder (increments per motor revolution) in the axis file"
+            )
         increments = self.read_raw("encoder_increments")
-        revolutions = self.read_raw("encoder_revolutions")
+        revolutions = self.read_raw("encoder_revolutions") if "encoder_revolutions" in known else 1
         if increments <= 0 or revolutions <= 0:
             raise PreflightRefused(
-                f"the drive's encoder resolution is {increments}/{revolutions}: its position scale "
-                "is unknown; set up the encoder in the drive"
+                f"the drive's encoder resolution is {increments}/{revolutions}: its position scale is "
+                "unknown; set up the encoder in the drive, or give encoder in the axis file"
             )
-        return Scaling(rated, increments / revolutions, axis.mechanics)
+        return increments / revolutions
 
     # -- parameters ------------------------------------------------------------------------------
 

@@ -7,12 +7,24 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from profiles.errors import IdentityMismatch, UnknownName
 from profiles.schema import Identity, ModbusAddress, Profile
 from profiles.toml_files import load_model, parse_model
 
-__all__ = ["builtin_names", "digest", "fitting", "load_profile", "source_text"]
+if TYPE_CHECKING:
+    from profiles.draft import Draft
+
+__all__ = [
+    "builtin_names",
+    "check",
+    "digest",
+    "draft_from_eds",
+    "fitting",
+    "load_profile",
+    "source_text",
+]
 
 
 def builtin_names() -> list[str]:
@@ -135,3 +147,13 @@ def check(profile: Profile) -> list[Finding]:
         if name not in profile.limits
     ]
     return found
+
+
+def draft_from_eds(path: Path) -> Draft:
+    """A profile of the drive that an EDS or DCF describes; raises ProfileError."""
+    from profiles.draft import from_eds
+    from profiles.eds import read_eds
+
+    draft = from_eds(read_eds(path), _builtin_text("cia402"), path.name)
+    parse_model(draft.text, Profile, f"{path} makes a profile that is not valid")
+    return draft

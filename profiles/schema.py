@@ -453,8 +453,8 @@ class Profile(_Strict):
     def _check(self) -> Self:
         known = set(self.parameters)
         wanted = {
-            "controlword", "statusword", "mode_of_operation", "mode_display", "rated_torque",
-            "torque_target", "position_actual", "encoder_increments", "encoder_revolutions",
+            "controlword", "statusword", "mode_of_operation", "mode_display", "torque_target",
+            "position_actual",
         }  # fmt: skip
         if missing := wanted - known:
             raise ValueError(f"[parameters] lacks {', '.join(sorted(missing))}")

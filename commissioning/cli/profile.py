@@ -1,4 +1,4 @@
-"""tworelay profile list | show P | check P."""
+"""tworelay profile list | show P | check P | new."""
 
 from __future__ import annotations
 
@@ -55,4 +55,36 @@ def check_profile(profile: str) -> None:
     click.echo(
         f"{loaded.name} {loaded.version}: {len(loaded.parameters)} parameters, {loaded.bus}, "
         f"compensation {loaded.compensation.law}: usable, {len(findings)} warning(s)"
+    )
+
+
+@command.command("new")
+@click.option("--eds", required=True, metavar="F", help="EDS or DCF of a CANopen drive.")
+@click.option("--output", required=True, metavar="F", help="The profile that is written (.toml).")
+@click.option("--force", is_flag=True, help="Overwrite an existing file.")
+def new(eds: str, output: str, force: bool) -> None:
+    """Draft a profile from a description file, and say what the file does not tell."""
+    from pathlib import Path
+
+    from profiles.errors import UsageError
+    from profiles.library import check, draft_from_eds, load_profile
+
+    target = Path(output)
+    if target.suffix != ".toml":
+        raise UsageError(f"--output {target}: a profile's file ends with .toml")
+    if target.exists() and not force:
+        raise UsageError(f"--output {target}: exists already; --force overwrites it")
+    draft = draft_from_eds(Path(eds))
+    try:
+        target.write_text(draft.text, "utf-8")
+    except OSError as error:
+        raise UsageError(f"--output {target}: cannot be written: {error.strerror}") from None
+    for note in draft.notes:
+        click.echo(f"note: {note}")
+    loaded = load_profile(str(target))
+    for finding in check(loaded):
+        click.echo(f"{finding.severity}: {finding.text}")
+    click.echo(
+        f"{target}: profile '{loaded.name}', {len(loaded.parameters)} parameters; what comes next: "
+        "docs/bring-your-own-drive.md"
     )

@@ -1,0 +1,221 @@
+"""Draft profiles from an EDS or DCF.
+
+A draft is a profile text that loads, with what is not known left out and said. What a file cannot tell –
+units, what a value does – stays the standard's word, and trust `derived`: `apply` needs `verified` or better
+only for what it writes, and no draft has a compensation to write.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.toml_document import TOMLDocument
+
+from profiles.eds import Eds, Entry
+from profiles.errors import ProfileError
+
+__all__ = ["Draft", "from_eds"]
+
+_TORQUE, _CYCLIC_TORQUE = 3, 9  # bits of 6502h, supported drive modes
+_NO_LIMIT = 10_000  # per mille of rated torque
+# without these no relay experiment can be driven at all
+_NEEDED = {
+    (0x6040, 0): "controlword", (0x6041, 0): "statusword", (0x6060, 0): "modes of operation",
+    (0x6061, 0): "modes of operation display", (0x6064, 0): "position actual value",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """A profile as text, and what there is to say about it, for people."""
+
+    text: str
+    notes: tuple[str, ...]
+
+
+def profile_name(*words: str) -> str:
+    """A name that a profile may have."""
+    name = re.sub(r"[^a-z0-9.-]+", "-", "-".join(w for w in words if w).lower()).strip("-.")
+    return name or "drive"
+
+
+def from_eds(eds: Eds, template: str, origin: str) -> Draft:
+    """A CiA 402 profile of the drive that `eds` describes.
+
+    Parameters
+    ----------
+    template : text of the generic CiA 402 profile
+    origin : name of the file, for sources and messages
+
+    Raises
+    ------
+    ProfileError
+        The drive cannot be driven by torque: what is missing.
+    """
+    _refuse(eds, origin)
+    document = tomlkit.parse(template)
+    notes = [f"mended {item}" for item in eds.mended]
+    document["name"] = profile_name(eds.vendor_name.split(" ")[0], eds.product_name)
+    document["version"] = "0.1.0"
+    document["title"] = " ".join(f"{eds.vendor_name} {eds.product_name}".split()) or origin
+    document["sources"] = [Path(origin).name, "CiA 402 = IEC 61800-7-201"]
+    if eds.vendor:
+        identity = tomlkit.table()
+        identity["vendor"] = f"0x{eds.vendor:08X}"
+        if eds.product:
+            identity["product"] = f"0x{eds.product:08X}"
+        document["identity"] = identity
+        notes.append(
+            "the identity is the file's: compare it with what the drive says (tworelay scan)"
+        )
+    else:
+        notes.append("the file says no vendor number: the profile fits no drive by itself, name it")
+    notes += _take_entries(document, eds)
+    notes += _without_what_is_missing(document, eds)
+    return Draft(tomlkit.dumps(document), tuple(notes))
+
+
+def _refuse(eds: Eds, origin: str) -> None:
+    missing = [f"{i:04X}h {name}" for (i, s), name in _NEEDED.items() if eds.entry(i, s) is None]
+    if missing:
+        raise ProfileError(f"{origin}: no CiA 402 drive: it lacks {', '.join(missing)}")
+    if eds.entry(0x6071) is None:
+        offset = (
+            " (its 60B2h torque offset is an addition, no command)" if eds.entry(0x60B2) else ""
+        )
+        raise ProfileError(
+            f"{origin}: the drive has no 6071h target torque, so no torque can be commanded and no relay "
+            f"experiment run{offset}; it cannot be used"
+        )
+    modes = eds.entry(0x6502)
+    supported = modes.default if modes else None
+    if supported and not supported >> _TORQUE & 1 and not supported >> _CYCLIC_TORQUE & 1:
+        raise ProfileError(
+            f"{origin}: 6502h supported drive modes is 0x{supported:X}: neither torque (bit 3) nor cyclic "
+            "torque (bit 9); no relay experiment can be run, it cannot be used"
+        )
+
+
+def _take_entries(document: TOMLDocument, eds: Eds) -> list[str]:
+    """Types, titles, access and limits as the file has them; parameters that it lacks go."""
+    notes = []
+    parameters: Any = document["parameters"]
+    for name in list(parameters):
+        parameter = parameters[name]
+        address = parameter["address"]
+        index, sub = int(address["index"]), int(address.get("sub", 0))
+        entry = eds.entry(index, sub)
+        if entry is None:
+            del parameters[name]
+            notes.append(f"{name}: {index:04X}h:{sub:02X} is not in the file")
+            continue
+        if entry.type is not None and entry.type != address["type"]:
+            notes.append(
+                f"{name}: {index:04X}h is {entry.type}, not {address['type']} as in CiA 402"
+            )
+            address["type"] = entry.type
+        if entry.name:
+            parameter["title"] = entry.name
+        parameter["trust"] = "derived"
+        _take_access(parameter, entry, name, notes)
+        _take_limits(parameter, entry)
+    return notes
+
+
+def _take_access(parameter: Any, entry: Entry, name: str, notes: list[str]) -> None:
+    if entry.access == "ro" and parameter.get("access") != "ro":
+        if parameter.get("protection") == "command" and entry.mappable:
+            notes.append(f"{name}: {entry.index:04X}h is written by PDO only")
+            return
+        parameter["access"] = "ro"
+        parameter.pop("protection", None)
+        notes.append(f"{name}: {entry.index:04X}h is read only in this drive")
+
+
+def _take_limits(parameter: Any, entry: Entry) -> None:
+    if parameter.get("protection") not in ("experiment", "compensation"):
+        return
+    bits = int((entry.type or "i32")[1:])
+    signed = (entry.type or "i32")[0] == "i"
+    lowest, highest = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
+    low, high = entry.low, entry.high
+    if low is None or high is None or low >= high:
+        return
+    if lowest <= low and high <= highest and (low, high) != (lowest, highest):
+        parameter["minimum"], parameter["maximum"] = low, high
+
+
+def _without_what_is_missing(document: TOMLDocument, eds: Eds) -> list[str]:
+    """Sections that name a parameter which the drive does not have."""
+    notes: list[str] = []
+    parameters: Any = document["parameters"]
+
+    def has(name: str) -> bool:
+        return name in parameters and parameters[name].get("access") != "ro"
+
+    watchdog: Any = document["watchdog"]
+    if not has("watchdog_time"):
+        watchdog["kind"] = "none"
+        del watchdog["parameter"]
+        notes.append("no consumer heartbeat 1016h: the drive does not notice a dead link")
+    if not has("abort_connection_option"):
+        watchdog.pop("reaction", None)
+        watchdog.pop("reaction_raw", None)
+    limits: Any = document["limits"]
+    for key, name in (("torque", "max_torque"), ("speed", "max_speed")):
+        if not has(name):
+            del limits[key]
+            notes.append(f"no {key} limit in the drive ({name}): only the host limits it")
+    if not has("store_command"):
+        document.remove("store")
+        notes.append("no 1010h:1: what is written is lost at power-off")
+    cycle: Any = document["cycle"]
+    for key in ("out", "in"):
+        cycle[key] = [name for name in cycle[key] if name in parameters]
+    notes += _modes(document, eds)
+    limit = eds.entry(0x6072)
+    if limit is not None and limit.default is not None and limit.default >= _NO_LIMIT:
+        notes.append(
+            f"6072h max torque is delivered with {limit.default} per mille, which means no limit: it is set "
+            "and read back before every experiment"
+        )
+    if "rated_torque" not in parameters:
+        notes.append("no 6076h: give rated_torque (N.m of the motor) in the axis file")
+    if "encoder_increments" not in parameters:
+        notes.append("no 608Fh: give encoder (increments per motor revolution) in the axis file")
+    return notes
+
+
+def _modes(document: TOMLDocument, eds: Eds) -> list[str]:
+    """The modes that the drive has, as far as the file tells."""
+    notes = []
+    parameters: Any = document["parameters"]
+    modes: Any = document["modes"]
+    if "position_target" not in parameters:
+        modes.remove("position")
+    has_slope = "torque_slope" in parameters and parameters["torque_slope"].get("access") != "ro"
+    supported = eds.entry(0x6502)
+    bits = supported.default if supported else None
+    kept = tomlkit.aot()
+    for mode in modes["torque"]:
+        if bits and not bits >> int(mode["supported_bit"]) & 1:
+            notes.append(f"mode {mode['code']} is not in 6502h = 0x{bits:X}")
+            continue
+        if "before" in mode and not has_slope:
+            del mode["before"]
+        elif "before" in mode:  # the steepest slope that the drive takes
+            slope = parameters["torque_slope"]
+            steepest = slope.get("maximum", mode["before"][0]["raw"])
+            mode["before"][0]["raw"] = min(int(mode["before"][0]["raw"]), int(steepest))
+        if "supported_modes" not in parameters:
+            mode.pop("supported_bit", None)
+        kept.append(mode)
+    modes["torque"] = kept
+    if "supported_modes" not in parameters:
+        for mode in modes.get("position", ()):
+            mode.pop("supported_bit", None)
+    return notes

@@ -20,7 +20,7 @@ from profiles.schema import Identity, Profile
 if TYPE_CHECKING:
     from drivers.modbus.wires import Wire
 
-__all__ = ["Link", "axis_of", "is_simulated", "open_drive", "parse"]
+__all__ = ["Link", "axis_of", "is_simulated", "modbus_wire", "open_can", "open_drive", "parse"]
 
 SCHEMES = ("virtual", "modbus-tcp", "modbus-rtu", "modbus-rtu-tcp", "modbus-tls", "canopen")
 _MODBUS_PORT, _SECURE_PORT = 502, 802
@@ -204,7 +204,7 @@ def _open_modbus(
     from drivers.modbus.bus import ModbusBus, identify
     from drivers.modbus.client import Client
 
-    wire = _modbus_wire(link, profile)
+    wire = modbus_wire(link, profile)
     unit = link.integer("unit", 0, 255)
     if unit is None:
         unit = profile.link.unit if profile and profile.link.unit is not None else 1
@@ -217,7 +217,7 @@ def _open_modbus(
         raise
 
 
-def _modbus_wire(link: Link, profile: Profile | None) -> Wire:
+def modbus_wire(link: Link, profile: Profile | None) -> Wire:
     """Where a Modbus LINK leads; raises UsageError."""
     from drivers.modbus.wires import RtuLine, TcpWire, Tls
 
@@ -260,28 +260,40 @@ def _modbus_wire(link: Link, profile: Profile | None) -> Wire:
 def _open_canopen(
     link: Link, axis: Axis, profile: Profile | None, cycle: float | None, trace: Trace | None
 ) -> tuple[Bus, Profile]:
-    _only(link, {"node", "bitrate", "timeout", "clock"})
-    interface, slash, channel = link.place.partition("/")
     node = link.integer("node", 1, 127) or (profile.link.node if profile else None)
-    if not slash or not channel or node is None:
+    if node is None:
         raise UsageError(
             f"{link.text}: a CANopen link is canopen://INTERFACE/CHANNEL?node=N, for example "
             "canopen://socketcan/can0?node=5"
         )
     from drivers.canopen.bus import CanopenBus, identify
-    from drivers.canopen.wire import CanWire, open_bus
+    from drivers.canopen.wire import CanWire
 
-    bitrate = link.integer("bitrate", 10_000, 1_000_000)
-    if bitrate is None:
-        bitrate = profile.link.bitrate if profile and profile.link.bitrate else 500_000
     timeout = _timeout(link, profile)
-    wire = CanWire(open_bus(interface, unquote(channel), bitrate, timeout), node, timeout, trace)
+    wire = CanWire(open_can(link, profile), node, timeout, trace)
     try:
         chosen = _armed_with(_agree(identify(wire), "canopen", profile), axis)
         return CanopenBus(wire, chosen, _pace(link, cycle or chosen.link.cycle)), chosen
     except BaseException:
         wire.close()
         raise
+
+
+def open_can(link: Link, profile: Profile | None = None) -> Any:
+    """The CAN adapter that a LINK names, as python-can has it; raises UsageError, LinkError."""
+    _only(link, {"node", "bitrate", "timeout", "clock"})
+    interface, slash, channel = link.place.partition("/")
+    if not slash or not channel:
+        raise UsageError(
+            f"{link.text}: a CANopen link is canopen://INTERFACE/CHANNEL?node=N, for example "
+            "canopen://socketcan/can0?node=5"
+        )
+    from drivers.canopen.wire import open_bus
+
+    bitrate = link.integer("bitrate", 10_000, 1_000_000)
+    if bitrate is None:
+        bitrate = profile.link.bitrate if profile and profile.link.bitrate else 500_000
+    return open_bus(interface, unquote(channel), bitrate, _timeout(link, profile))
 
 
 def _armed_with(profile: Profile, axis: Axis) -> Profile:

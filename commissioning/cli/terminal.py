@@ -102,6 +102,19 @@ class Screen:
                 self._progress = None
 
     @contextlib.contextmanager
+    def counting(self, text: str, total: int) -> Generator[Callable[[int], None]]:
+        """Show how far a row of steps is, where there is a terminal; the value is told each step."""
+        console = self.console()
+        if not console.is_terminal:
+            yield lambda step: None
+            return
+        from rich.progress import Progress
+
+        with Progress(console=console, refresh_per_second=4, transient=True) as progress:
+            task = progress.add_task(text, total=total)
+            yield lambda step: progress.advance(task)
+
+    @contextlib.contextmanager
     def paused(self) -> Generator[None]:
         """Without the moving line, for a question."""
         progress = self._progress

@@ -18,7 +18,7 @@ from drivers.modbus.wires import RtuLine, TcpWire, Wire
 from drivers.pace import Silence
 from profiles.errors import AccessDenied, LinkError, LinkLost
 
-__all__ = ["Client", "NoAnswer"]
+__all__ = ["Client", "ExceptionAnswer", "NoAnswer"]
 
 logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
 
@@ -39,6 +39,14 @@ Trace = Callable[[bool, bytes], None]
 
 _POST_ANSWER = 0.01  # s that a posted write may hold up the next one
 _NEVER_DISCONNECT = 1_000_000  # the receive deadline is ours to judge, not the library's
+
+
+class ExceptionAnswer(AccessDenied):
+    """The unit, or a gateway before it, answers with an exception; `code` as in the standard."""
+
+    def __init__(self, message: str, code: int) -> None:
+        super().__init__(message)
+        self.code = code
 
 
 class NoAnswer(LinkError):
@@ -62,8 +70,8 @@ class Client:
     """
 
     def __init__(self, wire: Wire, unit: int, timeout: float, trace: Trace | None = None) -> None:
-        self.where = f"{wire} unit {unit}"
-        self._unit = unit
+        self._wire = wire
+        self.turn_to(unit)
         self._timeout = timeout
         self._trace = trace
         self._heard = 0
@@ -74,6 +82,11 @@ class Client:
             self._client = _SerialClient(wire, timeout, self._on_packet)
         else:
             self._client = _connected(wire, timeout, self._on_packet)
+
+    def turn_to(self, unit: int) -> None:
+        """Talk to another unit on the same connection from now on."""
+        self.where = f"{self._wire} unit {unit}"
+        self._unit = unit
 
     def _on_packet(self, sending: bool, data: bytes) -> bytes:
         if not sending:
@@ -127,9 +140,10 @@ class Client:
                 self._silence.begin()
         if answer.isError():
             code = getattr(answer, "exception_code", 0)
-            raise AccessDenied(
+            raise ExceptionAnswer(
                 f"{self.where} refuses function {answer.function_code & 0x7F}: exception {code} "
-                f"({_EXCEPTIONS.get(code, 'unknown')})"
+                f"({_EXCEPTIONS.get(code, 'unknown')})",
+                code,
             )
         return answer
 

@@ -25,6 +25,7 @@ _CODES = {
     Reason.STATE: ExcCodes.DEVICE_BUSY,
 }
 _WRITE_SINGLE = 6
+_UNIT_IN_MBAP = 6
 
 
 async def start_modbus_tcp(
@@ -32,8 +33,13 @@ async def start_modbus_tcp(
 ) -> tuple[ModbusTcpServer, int]:
     """Listen on host:port (0: any free one); return the server and the port it has.
 
-    `rtu`: frames as on a serial line, where a unit that is not there is silent.
+    `rtu`: frames as on a serial line. A frame for another unit is not for this drive: it is silent.
     """
+    ours = {unit} if rtu else {unit, 0, 255}  # a device of its own on TCP goes by those, too
+    at = 0 if rtu else _UNIT_IN_MBAP
+
+    def for_us(sending: bool, data: bytes) -> bytes:
+        return data if sending or len(data) <= at or data[at] in ours else b""
 
     async def access(
         function: int,
@@ -65,7 +71,8 @@ async def start_modbus_tcp(
         framer=FramerType.RTU if rtu else FramerType.SOCKET,
         identity=identity,
         address=(host, port),
-        ignore_missing_devices=rtu,
+        ignore_missing_devices=True,
+        trace_packet=for_us,
     )
     await server.serve_forever(background=True)
     listener = server.transport

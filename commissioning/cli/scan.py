@@ -1,0 +1,68 @@
+"""tworelay scan LINK."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+from commissioning.cli.options import verbose
+from commissioning.cli.terminal import Finite, Screen
+
+__all__ = ["command"]
+
+
+@click.command("scan")
+@click.argument("link")
+@click.option("--units", default="1-247", show_default=True, metavar="A-B", help="Modbus units.")
+@click.option("--timeout", type=Finite(0.01, 5), metavar="S", help="s, for one unit or node.")
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@verbose
+def command(link: str, units: str, timeout: float | None, as_json: bool) -> None:
+    """Which drives are on a bus, who they are, and which profile fits. Only reads.
+
+    LINK is a link without node or unit: canopen://socketcan/can0, modbus-tcp://HOST,
+    modbus-rtu:///dev/ttyUSB0?baudrate=57600.
+    """
+    from drivers.scan import scan
+
+    screen = Screen("-" if as_json else None, yes=True)
+    asked = _range(units)
+    with screen.counting(f"scan of {link}", len(asked)) as tell:
+        found = scan(link, asked, timeout, tell)
+    if as_json:
+        rows = [
+            {
+                "address": f.address, "link": f.link, "profiles": list(f.profiles), "note": f.note,
+                "identity": None if f.identity is None else f.identity.model_dump(),
+            }
+            for f in found
+        ]  # fmt: skip
+        click.echo(json.dumps(rows, indent=1))
+        return
+    if not found:
+        screen.say("nobody answers; 'tworelay doctor LINK' looks for the reason")
+        return
+    screen.table(
+        f"{len(found)} found", ["address", "who", "profile", "note"], [_row(item) for item in found]
+    )
+    for item in found:
+        screen.say(item.link)
+
+
+def _row(item: Any) -> list[str]:
+    return [
+        str(item.address),
+        "–" if item.identity is None else str(item.identity),
+        ", ".join(item.profiles) or "none fits: --profile, or 'tworelay profile new'",
+        item.note,
+    ]
+
+
+def _range(text: str) -> range:
+    first, dash, last = text.partition("-")
+    ends = (first, last if dash else first)
+    if not all(end.isdigit() for end in ends) or not 0 <= int(ends[0]) <= int(ends[1]) <= 255:
+        raise click.BadParameter(f"'{text}' must be A-B with 0 ≤ A ≤ B ≤ 255", param_hint="--units")
+    return range(int(ends[0]), int(ends[1]) + 1)

@@ -1,0 +1,133 @@
+"""What is on a bus: nodes or units, who they say they are, and which profile fits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from drivers.link import Link, modbus_wire, open_can, parse
+from profiles.errors import UsageError
+from profiles.library import builtin_names, load_profile
+from profiles.schema import Identity
+
+__all__ = ["Found", "scan"]
+
+_TORQUE_BITS = 1 << 3 | 1 << 9  # of 6502h: torque, cyclic torque
+_TIMEOUT = {
+    "modbus-tcp": 0.3,
+    "modbus-tls": 0.3,
+    "modbus-rtu": 0.65,
+    "modbus-rtu-tcp": 0.65,
+    "canopen": 0.2,
+}
+_EVERYBODY = 200  # units that are one and the same
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """One node or unit.
+
+    Attributes
+    ----------
+    address : node or unit number
+    link : LINK to it
+    identity : what it says of itself; None where it answers nothing but a heartbeat
+    profiles : built-in profiles that are for it
+    note : what else there is to say
+    """
+
+    address: int
+    link: str
+    identity: Identity | None
+    profiles: tuple[str, ...]
+    note: str
+
+
+def scan(
+    text: str,
+    units: Iterable[int],
+    timeout: float | None,
+    tell: Callable[[int], None],
+) -> list[Found]:
+    """Look at a bus by a LINK without a node or unit; raises UsageError, LinkError.
+
+    `units` are asked one after the other on Modbus; on CANopen all nodes are asked at once. `tell` hears
+    each unit before it is asked. `timeout`: s for one of them.
+    """
+    link = parse(text)
+    if link.scheme == "virtual":
+        raise UsageError("scan: virtual:// is in this process; serve the axis to scan it")
+    patience = timeout or _TIMEOUT[link.scheme]
+    if link.scheme == "canopen":
+        return _canopen(link, patience)
+    return _modbus(link, units, patience, tell)
+
+
+def _canopen(link: Link, timeout: float) -> list[Found]:
+    from drivers.canopen.survey import survey
+
+    bus = open_can(link)
+    try:
+        nodes = survey(bus, timeout)
+    finally:
+        bus.shutdown()
+    found = []
+    for node in nodes:
+        note = ""
+        if node.identity is None:
+            note = "heartbeat only: it answers no SDO"
+        elif not node.is_drive:
+            note = f"no drive by its device type (profile {node.device})"
+        elif node.modes is not None and not node.modes & _TORQUE_BITS:
+            note = f"no torque mode: 6502h is 0x{node.modes:X}"
+        found.append(
+            Found(
+                node.number, _with(link, "node", node.number), node.identity,
+                _fitting(node.identity, "canopen"), note,
+            )
+        )  # fmt: skip
+    return found
+
+
+def _modbus(
+    link: Link, units: Iterable[int], timeout: float, tell: Callable[[int], None]
+) -> list[Found]:
+    from drivers.modbus.client import Client
+    from drivers.modbus.survey import survey
+
+    client = Client(modbus_wire(link, None), 0, max(timeout, 1.0))
+    try:
+        there = list(survey(client, units, timeout, tell))
+    finally:
+        client.close()
+    same = len(there) >= _EVERYBODY and len({unit.identity for unit in there}) == 1
+    if same:  # a server that does not look at the number
+        there = there[:1]
+    note = "answers to every unit number: it is one drive" if same else ""
+    return [
+        Found(
+            unit.number, _with(link, "unit", unit.number),
+            unit.identity if unit.identity.vendor or unit.identity.product else None,
+            _fitting(unit.identity, "modbus"),
+            note or ("" if unit.identity.vendor else "does not say who it is (no FC 43/14)"),
+        )
+        for unit in there
+    ]  # fmt: skip
+
+
+def _with(link: Link, key: str, number: int) -> str:
+    """The LINK with a node or unit in it."""
+    base, _, query = link.text.partition("?")
+    kept = [part for part in query.split("&") if part and not part.startswith(f"{key}=")]
+    return f"{base}?{'&'.join([f'{key}={number}', *kept])}"
+
+
+def _fitting(identity: Identity | None, bus: str) -> tuple[str, ...]:
+    if identity is None:
+        return ()
+    profiles = [load_profile(name) for name in builtin_names()]
+    return tuple(
+        p.name
+        for p in profiles
+        if p.bus == bus and not p.identity.empty and p.identity.accepts(identity)
+    )

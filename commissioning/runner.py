@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import TypeVar
 
@@ -12,6 +12,7 @@ from commissioning.envelope import Envelope
 from commissioning.experiments.plan import Plan
 from commissioning.interruption import Interruption
 from drivers.drive import Drive, StopReport
+from drivers.realtime import real_time
 from drivers.sample import Sample
 from profiles.errors import DriveFault, TwoRelayError
 from profiles.schema import Mode
@@ -69,7 +70,8 @@ def run(
     watch = envelope.watch()
     record, check, admit = recorder.samples.append, watch.check, watch.admit
     exchange, send = drive.exchange, plan.send
-    with interruption.deferred(), _collector_off():
+    urgent = real_time() if drive.in_real_time else nullcontext()
+    with interruption.deferred(), _collector_off(), urgent:
         try:
             interruption.check()
             drive.enable(mode, rest)

@@ -43,6 +43,7 @@ class Drive(Protocol):
     scaling: Scaling
     link: str
     cycle: float
+    in_real_time: bool  # its cycle is the clock's, and not counted
 
     def identity(self) -> Identity:
         """Who the drive says it is."""
@@ -124,6 +125,7 @@ class Bus(Protocol):
     """
 
     cycle: float
+    in_real_time: bool
 
     def identify(self) -> Identity:
         """Ask the drive who it is."""

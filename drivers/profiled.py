@@ -6,7 +6,7 @@ from collections.abc import Callable
 from math import nan
 
 from drivers import cia402
-from drivers.drive import Bus, StopReport
+from drivers.drive import Bus, Exchange, StopReport
 from drivers.sample import Sample
 from drivers.scaling import Scaling
 from profiles.axis import Axis
@@ -50,6 +50,7 @@ class ProfiledDrive:
         self.profile = profile
         self.link = link
         self.cycle = bus.cycle
+        self.in_real_time = bus.in_real_time
         self._bus = bus
         self._rest_raw = 0
         self._energised = False
@@ -246,6 +247,19 @@ class ProfiledDrive:
         """Take the energy away from an axis at rest; raises LinkError, DriveFault."""
         self._walk(enabled=False)
         self._energised = False
+
+    def rehearse(self, count: int) -> list[Exchange]:
+        """`count` cycles of the exchange with every output at zero; the drive stays de-energised.
+
+        Raises PreflightRefused where it is energised, LinkError.
+        """
+        if self.is_energised():
+            raise PreflightRefused(
+                "the drive is enabled, so somebody else controls it: its cycle is not disturbed"
+            )
+        zeros = (0,) * len(self.profile.cycle.out)
+        self._bus.start(zeros)
+        return [self._bus.exchange(zeros) for _ in range(count)]
 
     def _supported(self, mode: Mode) -> ModeCode:
         codes = self.profile.modes.get(mode, ())

@@ -46,6 +46,7 @@ class CanopenBus:
 
     def __init__(self, wire: CanWire, profile: Profile, pace: Pace) -> None:
         self.cycle = pace.cycle
+        self.in_real_time = not pace.stepping
         self._wire = wire
         self._profile = profile
         self._pace = pace

@@ -13,7 +13,7 @@ from drivers.canopen.wire import HEARTBEAT, CanWire
 from profiles.errors import AccessDenied, LinkError
 from profiles.schema import Identity
 
-__all__ = ["Node", "survey"]
+__all__ = ["Node", "Traffic", "listen", "survey"]
 
 _NODES = range(1, 128)
 _UPLOAD_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0x00, 0, 0, 0, 0))  # CiA 301, SDO upload of 1000h:00
@@ -46,6 +46,22 @@ class Node:
         return self.device == _CIA402
 
 
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """What was heard: frames, error frames, and the nodes whose heartbeat it was."""
+
+    frames: int
+    errors: int
+    heartbeats: frozenset[int]
+
+
+def listen(bus: Any, seconds: float) -> Traffic:
+    """Hear a bus for some time, and say nothing; raises LinkLost."""
+    ear = _Ear(bus, seconds)
+    ear.listen(seconds)
+    return Traffic(ear.frames, ear.error_frames, frozenset(ear.heard))
+
+
 def survey(bus: Any, timeout: float) -> list[Node]:
     """Every node on `bus` (a python-can bus), by its number; raises LinkError."""
     ear = _Ear(bus, timeout)
@@ -64,10 +80,12 @@ class _Ear(CanWire):
         super().__init__(bus, 127, timeout, self._note)
         self.heard: set[int] = set()
         self.answered: dict[int, bytes] = {}
+        self.frames = 0
 
     def _note(self, sending: bool, cob_id: int, data: bytes) -> None:
         if sending:
             return
+        self.frames += 1
         if HEARTBEAT < cob_id < HEARTBEAT + 128:
             self.heard.add(cob_id - HEARTBEAT)
         elif 0x580 < cob_id < 0x600 and data[1:4] == _UPLOAD_DEVICE_TYPE[1:4]:

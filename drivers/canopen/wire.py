@@ -133,6 +133,7 @@ class CanWire:
     heartbeat_state : last NMT state heard, or None
     foreign_master : COB-ID of a frame that only another master would send, or None
     garbled : frames that could not be read
+    error_frames : that the adapter reported
     """
 
     def __init__(
@@ -143,6 +144,7 @@ class CanWire:
         self.heartbeat_state: int | None = None
         self.foreign_master: int | None = None
         self.garbled = 0
+        self.error_frames = 0
         self._bus = bus
         self._trace = trace
         self._tpdo_id = 0
@@ -188,6 +190,7 @@ class CanWire:
         cob_id = message.arbitration_id
         if self._trace is not None:
             self._trace(False, cob_id, data)
+        self.error_frames += message.is_error_frame
         if message.is_error_frame or message.is_extended_id or message.is_remote_frame:
             return True
         if cob_id == self._tpdo_id:

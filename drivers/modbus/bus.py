@@ -42,6 +42,7 @@ class ModbusBus:
 
     def __init__(self, client: Client, profile: Profile, pace: Pace) -> None:
         self.cycle = pace.cycle
+        self.in_real_time = not pace.stepping
         self._client = client
         self._pace = pace
         self._profile = profile

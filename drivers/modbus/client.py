@@ -276,7 +276,7 @@ class _SerialClient(ModbusSerialClient):
                 line.port, baudrate=line.baudrate, parity=line.parity, stopbits=line.stopbits,
                 timeout=timeout, write_timeout=timeout, exclusive=True,
             )  # fmt: skip
-        except (OSError, ValueError) as error:  # pyserial's own errors are OSErrors
+        except Exception as error:  # termios' errors among them, which are no OSErrors
             number = getattr(error, "errno", None) or 0
             text = str(error)
             words = _WORDS.get(number, "") or (_WORDS[16] if "lock" in text else "")

@@ -14,7 +14,7 @@ from drivers.modbus.client import Client, ExceptionAnswer, NoAnswer
 from profiles.errors import LinkError
 from profiles.schema import Identity
 
-__all__ = ["Unit", "survey"]
+__all__ = ["Unit", "is_there", "survey"]
 
 _GATEWAY = (10, 11)  # gateway path unavailable, target failed to respond
 
@@ -34,7 +34,7 @@ def survey(
     for number in units:
         tell(number)
         client.turn_to(number)
-        if not _is_there(client, timeout):
+        if not is_there(client, timeout):
             continue
         try:
             found = identify(client)
@@ -43,7 +43,8 @@ def survey(
         yield Unit(number, found)
 
 
-def _is_there(client: Client, timeout: float) -> bool:
+def is_there(client: Client, timeout: float) -> bool:
+    """Whether the unit that the client talks to answers within `timeout` s."""
     try:
         client.read(3, 0, 1, timeout)
     except ExceptionAnswer as error:

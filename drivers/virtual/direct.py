@@ -32,6 +32,7 @@ class DirectBus:
     def __init__(self, device: Device, profile: Profile) -> None:
         self.device = device
         self.cycle = device.cycle / SECOND
+        self.in_real_time = False
         self._map = RegisterMap(device)
         self._firmware = device.firmware
         if profile.name != "virtual-modbus":

@@ -38,8 +38,9 @@ async def start_modbus_tcp(
     ours = {unit} if rtu else {unit, 0, 255}  # a device of its own on TCP goes by those, too
     at = 0 if rtu else _UNIT_IN_MBAP
 
-    def for_us(sending: bool, data: bytes) -> bytes:
-        return data if sending or len(data) <= at or data[at] in ours else b""
+    def silent_for_others(sending: bool, data: bytes) -> bytes:
+        """The server refuses a unit that it does not have; a drive on a line says nothing at all."""
+        return b"" if sending and len(data) > at and data[at] not in ours else data
 
     async def access(
         function: int,
@@ -72,7 +73,7 @@ async def start_modbus_tcp(
         identity=identity,
         address=(host, port),
         ignore_missing_devices=True,
-        trace_packet=for_us,
+        trace_packet=silent_for_others,
     )
     await server.serve_forever(background=True)
     listener = server.transport

@@ -36,7 +36,7 @@ def test_the_readme_s_first_screen_has_the_two_commands() -> None:
 def test_the_readme_s_commands_work_in_their_order(tworelay: Tworelay) -> None:
     ran = 0
     for line in readme_commands():
-        if any(word in line for word in ("192.168", ".toml", "serve", ".csv")):
+        if any(word in line for word in ("192.168", ".toml", "serve", ".csv", "/dev/", "can0")):
             continue  # a machine, a server or a file: shown, not run
         done = tworelay(*shlex.split(line))
         assert done.returncode == 0, (line, done.stderr)

@@ -1,0 +1,40 @@
+"""tworelay doctor [LINK]."""
+
+from __future__ import annotations
+
+import json
+import sys
+from itertools import chain
+
+import click
+
+from commissioning.cli.options import verbose
+from commissioning.cli.terminal import Screen
+
+__all__ = ["command"]
+
+_MARKS = {"ok": "ok      ", "note": "note    ", "warning": "warning ", "problem": "PROBLEM "}
+
+
+@click.command("doctor")
+@click.argument("link", required=False)
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@verbose
+def command(link: str | None, as_json: bool) -> None:
+    """Adapters, drivers, permissions, clock of this machine; with LINK, why it does not answer.
+
+    Only reads. Ends with exit code 4 where a problem keeps the link from working.
+    """
+    from drivers.doctor import of_link, of_machine
+
+    screen = Screen("-" if as_json else None, yes=True)
+    findings = []
+    with screen.working("looking"):
+        for finding in chain(of_machine(), of_link(link, screen.say) if link else ()):
+            findings.append(finding)
+            if not as_json:
+                screen.say(_MARKS[finding.level] + finding.text)
+    if as_json:
+        click.echo(json.dumps([{"level": f.level, "text": f.text} for f in findings], indent=1))
+    if link and any(f.level == "problem" for f in findings):
+        sys.exit(4)

@@ -1,0 +1,87 @@
+"""How fast and how regular a link is, and what that means for an experiment. The drive stays de-energised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from commissioning.experiments.design import SHORT
+from commissioning.session.desk import Desk
+from drivers.link import open_drive
+from profiles.axis import Axis
+from profiles.errors import UsageError
+
+__all__ = ["Latency", "latency"]
+
+Array = NDArray[np.float64]
+
+_FLAT_OUT = 2e-4  # s: a cycle that no link holds, so that its own time is left
+_SPARE = 1.3  # of the 99th percentile
+_GRID = 5e-4  # s: cycles are rounded up to these
+_LATE = 0.5  # of a cycle: late
+
+
+@dataclass(frozen=True, slots=True)
+class Latency:
+    """What was measured.
+
+    Attributes
+    ----------
+    service : (n,) s, one read of a parameter
+    exchange : (n,) s, one cyclic exchange, as fast as it goes
+    cycle : s, the fastest that the link holds with some spare time
+    lateness : (n,) s, against the deadlines of that cycle
+    missed : cycles without a sample, of the last
+    """
+
+    service: Array
+    exchange: Array
+    cycle: float
+    lateness: Array
+    missed: int
+
+    @property
+    def late_share(self) -> float:
+        """Share of the cycles that came late by half a cycle or more."""
+        return float(np.mean(self.lateness > _LATE * self.cycle))
+
+    @property
+    def shortest_period(self) -> float:
+        """Shortest oscillation that an experiment runs at that cycle, s."""
+        return SHORT.cycles * self.cycle
+
+
+def latency(axis: Axis, count: int, desk: Desk) -> Latency:
+    """Measure; raises LinkError, PreflightRefused, UsageError."""
+    if axis.link is not None and axis.link.startswith("virtual://"):
+        raise UsageError("latency: virtual:// has no link to be late; serve the axis")
+    if axis.link is not None and "clock=step" in axis.link:
+        raise UsageError("latency: a drive with clock=step has no time; serve it with --clock wall")
+    drive = open_drive(axis, cycle=_FLAT_OUT)
+    try:
+        desk.tell(f"{count} reads of one parameter")
+        service = []
+        for _ in range(count):
+            begin = perf_counter()
+            drive.read_raw("statusword")
+            service.append(perf_counter() - begin)
+        desk.tell(f"{count} cycles, as fast as they go; the drive stays de-energised")
+        times = np.array([e.time for e in drive.rehearse(count + 1)])
+    finally:
+        drive.close()
+    exchange = np.asarray(np.diff(times), np.float64)
+    cycle = ceil(_SPARE * float(np.quantile(exchange, 0.99)) / _GRID) * _GRID
+    drive = open_drive(axis, cycle=cycle)
+    try:
+        desk.tell(f"{count} cycles of {cycle * 1000:g} ms")
+        kept = drive.rehearse(count)
+    finally:
+        drive.close()
+    return Latency(
+        np.array(service), exchange, cycle, np.array([e.lateness for e in kept]),
+        sum(e.missed for e in kept),
+    )  # fmt: skip

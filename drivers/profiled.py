@@ -27,6 +27,7 @@ from profiles.schema import (
     Protection,
     Step,
     Trust,
+    Unit,
 )
 
 __all__ = ["ProfiledDrive"]
@@ -67,7 +68,23 @@ class ProfiledDrive:
     def _read_bases(self, axis: Axis) -> Scaling:
         rated = axis.rated_torque if axis.rated_torque is not None else self._rated_torque()
         encoder = axis.encoder if axis.encoder is not None else self._encoder()
-        return Scaling(rated, encoder, axis.mechanics)
+        return Scaling(rated, encoder, axis.mechanics, self._torque_constant(axis, rated))
+
+    def _torque_constant(self, axis: Axis, rated: float) -> float:
+        """N.m/A, where a parameter is a current; raises PreflightRefused where it is not known."""
+        known = self.profile.parameters
+        if not any(p.unit is Unit.CURRENT for name, p in known.items() if name != "rated_current"):
+            return 0.0
+        if axis.torque_constant is not None:
+            return axis.torque_constant
+        base = known.get("rated_current")
+        current = self.read_raw("rated_current") * base.scale if base is not None else 0.0
+        if current <= 0:
+            raise PreflightRefused(
+                f"profile '{self.profile.name}' has parameters in A, and the motor's rated current is not "
+                "known; give torque_constant (N.m/A) in the axis file"
+            )
+        return rated / current
 
     def _rated_torque(self) -> float:
         """Of the motor, N.m; raises PreflightRefused where the drive does not tell it."""

@@ -25,11 +25,13 @@ class Scaling:
     rated_torque : N.m of the motor
     increments_per_revolution : of the motor
     mechanics : gear and feed
+    torque_constant : N.m/A; 0 where no parameter is a current
     """
 
     rated_torque: float
     increments_per_revolution: float
     mechanics: Mechanics
+    torque_constant: float = 0.0
 
     def step(self, parameter: Parameter) -> float:
         """Value of one raw step in SI at the axis."""
@@ -68,6 +70,7 @@ class Scaling:
             Unit.SECOND: "s",
             Unit.PER_SECOND: "1/s",
             Unit.TORQUE: effort,
+            Unit.CURRENT: effort,
             Unit.RATED_TORQUE: effort,
             Unit.RATED_TORQUE_PER_SECOND: f"{effort}/s",
             Unit.RATED_TORQUE_PER_SPEED: f"{effort}.s/{position}",
@@ -94,6 +97,7 @@ class Scaling:
             Unit.SECOND: 1.0,
             Unit.PER_SECOND: 1.0,
             Unit.TORQUE: effort,
+            Unit.CURRENT: self.torque_constant * effort,
             Unit.RATED_TORQUE: self.rated_torque * effort,
             Unit.RATED_TORQUE_PER_SECOND: self.rated_torque * effort,
             Unit.RATED_TORQUE_PER_SPEED: self.rated_torque * effort * 2 * pi / travel,

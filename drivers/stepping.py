@@ -1,26 +1,47 @@
-"""The clock of a served virtual drive that steps, written through its own parameters."""
+"""The clock of a served virtual drive that steps, written through its own objects."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal
 
 from profiles.errors import AccessDenied, LinkError
-from profiles.schema import Address, Profile
+from profiles.schema import Address, CanopenAddress, Profile
 
-__all__ = ["set_simulation"]
+__all__ = ["Simulation", "set_simulation"]
+
+Simulation = Literal["simulation_cycle", "simulation_advance"]
+
+# where the virtual drive has them on CANopen, in us; a twin of another drive has them, too
+_TWIN: dict[str, Address] = {
+    "simulation_cycle": CanopenAddress(index=0x1006, type="u32"),
+    "simulation_advance": CanopenAddress(index=0x2FF0, type="u32"),
+}
+_MICROSECOND = 1e-6
 
 
 def set_simulation(
-    write: Callable[[Address, int], None], profile: Profile, name: str, seconds: float
+    write: Callable[[Address, int], None],
+    profile: Profile,
+    name: Simulation,
+    seconds: float,
+    is_twin: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Write `simulation_cycle` or `simulation_advance`; raises LinkError where there is none."""
+    """Let the drive's own clock know; raises LinkError where it has none.
+
+    `is_twin` : whether the drive says that it is a virtual one, asked where the profile is another drive's
+    """
     parameter = profile.parameters.get(name)
-    if parameter is None:
+    if parameter is not None:
+        address, scale = parameter.address, parameter.scale
+    elif is_twin():
+        address, scale = _TWIN[name], _MICROSECOND
+    else:
         raise LinkError(
             f"clock=step needs a served virtual drive; profile '{profile.name}' has no '{name}'"
         )
     try:
-        write(parameter.address, round(seconds / parameter.scale))
+        write(address, round(seconds / scale))
     except AccessDenied:
         raise LinkError(
             "the drive does not step: serve it with --clock step, or leave clock=step away"

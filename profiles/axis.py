@@ -62,8 +62,8 @@ class Axis(_Strict):
     """One axis of a machine.
 
     `travel` is the room on either side of the position where the job starts, rad or m.
-    `rated_torque` (N.m of the motor) and `encoder` (increments per motor revolution) are for drives that
-    do not tell theirs.
+    `rated_torque` (N.m of the motor), `torque_constant` (N.m/A) and `encoder` (increments per motor
+    revolution) are for drives that do not tell theirs.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")] = "axis"
@@ -72,6 +72,7 @@ class Axis(_Strict):
     travel: Positive | None = None
     cycle: Positive | None = None
     rated_torque: Positive | None = None
+    torque_constant: Positive | None = None
     encoder: Positive | None = None
     mechanics: Mechanics = Mechanics()
     limits: AxisLimits = AxisLimits()

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from profiles.errors import IdentityMismatch, UnknownName
+from profiles.errors import IdentityMismatch, ProfileError, UnknownName
 from profiles.schema import Identity, ModbusAddress, Profile
-from profiles.toml_files import load_model, parse_model
+from profiles.toml_files import parse_model, parse_tree, read_text, validated
 
 if TYPE_CHECKING:
     from profiles.draft import Draft
@@ -36,17 +36,55 @@ def builtin_names() -> list[str]:
 def load_profile(name_or_path: str) -> Profile:
     """A built-in profile by its name, or any profile by the path of its file."""
     if _is_path(name_or_path):
-        return load_model(Path(name_or_path), Profile)
+        return _profile_of(read_text(Path(name_or_path)), name_or_path)
     return _builtin(name_or_path)
 
 
 def source_text(name_or_path: str) -> str:
-    """The profile as it is written."""
-    if _is_path(name_or_path):
-        load_profile(name_or_path)
-        return Path(name_or_path).read_text("utf-8")
-    _builtin(name_or_path)
-    return _builtin_text(name_or_path)
+    """The profile as it is written; one that extends another is written out whole."""
+    load_profile(name_or_path)
+    text = read_text(Path(name_or_path)) if _is_path(name_or_path) else _builtin_text(name_or_path)
+    tree = parse_tree(text, name_or_path)
+    if "extends" not in tree:
+        return text
+    import tomlkit
+
+    return tomlkit.dumps(_extended(tree, name_or_path))
+
+
+def _profile_of(text: str, origin: str) -> Profile:
+    return validated(_extended(parse_tree(text, origin), origin), Profile, origin)
+
+
+def _extended(tree: dict[str, Any], origin: str) -> dict[str, Any]:
+    """A tree on top of the built-in profile that it `extends`, less the sections and parameters `without`."""
+    base = tree.pop("extends", None)
+    without = tree.pop("without", [])
+    if base is None:
+        if without:
+            raise ProfileError(f"{origin}: without: stands beside extends only")
+        return tree
+    if base not in builtin_names():
+        raise ProfileError(f"{origin}: extends '{base}': there are {', '.join(builtin_names())}")
+    below = _extended(parse_tree(_builtin_text(base), base), base)
+    for name in without if isinstance(without, list) else [without]:
+        tables = [table for table in (below, below["parameters"]) if name in table]
+        if not tables:
+            raise ProfileError(f"{origin}: without '{name}', which '{base}' does not have")
+        for table in tables:
+            del table[name]
+    return _merged(below, tree)
+
+
+def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Tables are merged key by key, anything else is replaced."""
+    found = dict(below)
+    for key, value in above.items():
+        old = found.get(key)
+        found[key] = (
+            _merged(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
+        )
+    return found
 
 
 def digest(profile: Profile) -> str:
@@ -83,7 +121,7 @@ def _is_path(name: str) -> bool:
 def _builtin(name: str) -> Profile:
     if name not in builtin_names():
         raise UnknownName("profile", name, builtin_names())
-    return parse_model(_builtin_text(name), Profile, f"profile '{name}'")
+    return _profile_of(_builtin_text(name), f"profile '{name}'")
 
 
 def _builtin_text(name: str) -> str:

@@ -91,6 +91,7 @@ class Unit(StrEnum):
     RATED_TORQUE = "rated"  # share of the rated torque
     RATED_TORQUE_PER_SPEED = "rated/(rad/s)"
     TORQUE = "N.m"
+    CURRENT = "A"  # of the motor; a torque by its torque constant
     REVOLUTION = "rev"
     INCREMENT = "increment"  # of the position encoder
     INCREMENT_PER_SECOND = "increment/s"
@@ -364,6 +365,7 @@ class Compensation(_Strict):
     viscous: str | None = None
     negative_sign: Literal[-1, 1] = 1
     acts_in: tuple[Mode, ...] = (Mode.POSITION,)
+    note: str = ""  # what a technician has to know before it is written
 
     @property
     def terms(self) -> dict[str, str]:

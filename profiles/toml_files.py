@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from profiles.errors import ProfileError
 
-__all__ = ["load_model", "parse_model"]
+__all__ = ["load_model", "parse_model", "parse_tree", "read_text", "validated"]
 
 _TAGS = ("canopen", "modbus")  # of addresses, told apart by their keys
 _LARGEST = 1_000_000  # bytes; a profile has some kilobytes
@@ -22,23 +22,38 @@ M = TypeVar("M", bound=BaseModel)
 
 def load_model(path: Path, model: type[M]) -> M:
     """Read `path` as TOML into `model`; raises ProfileError with one line that says what is wrong."""
+    return parse_model(read_text(path), model, str(path))
+
+
+def read_text(path: Path) -> str:
+    """Text of a TOML file; raises ProfileError."""
     try:
         if path.stat().st_size > _LARGEST:
-            raise ProfileError(f"{path}: larger than {_LARGEST} bytes: this is no {model.__name__}")
-        text = path.read_text("utf-8")
+            raise ProfileError(
+                f"{path}: larger than {_LARGEST} bytes: this is no profile and no axis"
+            )
+        return path.read_text("utf-8")
     except OSError as error:
         raise ProfileError(f"{path}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError as error:
         raise ProfileError(f"{path}: is not UTF-8 text (byte {error.start})") from None
-    return parse_model(text, model, str(path))
 
 
 def parse_model(text: str, model: type[M], origin: str) -> M:
     """Parse TOML `text` into `model`; `origin` is the file name for messages."""
+    return validated(parse_tree(text, origin), model, origin)
+
+
+def parse_tree(text: str, origin: str) -> dict[str, Any]:
+    """TOML text as a tree; raises ProfileError."""
     try:
-        tree = tomllib.loads(text)
+        return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ProfileError(f"{origin}: is not TOML: {error}") from None
+
+
+def validated(tree: dict[str, Any], model: type[M], origin: str) -> M:
+    """A tree as a `model`; raises ProfileError."""
     try:
         # JSON mode: strict about types, yet an enumeration is written by its value
         return model.model_validate_json(json.dumps(tree, default=str))

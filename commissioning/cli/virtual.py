@@ -61,6 +61,9 @@ def list_axes(as_json: bool) -> None:
 @click.option("--modbus-rtu-tcp", metavar="HOST:PORT", help="Modbus RTU frames over TCP.")
 @click.option("--socketcand", metavar="HOST:PORT", help="CANopen by the socketcand protocol.")
 @click.option("--slcan", type=click.Choice(["pty"]), help="CANopen by slcan on a pseudo-terminal.")
+@click.option(
+    "--profile", metavar="P", help="Behave by this drive's objects: its twin, on CANopen."
+)
 @click.option("--clock", type=click.Choice(["wall", "step"]), default="wall", show_default=True)
 @click.option(
     "--state",
@@ -76,6 +79,7 @@ def serve_axis(
     modbus_rtu_tcp: str | None,
     socketcand: str | None,
     slcan: str | None,
+    profile: str | None,
     clock: Literal["wall", "step"],
     state: Path | None,
 ) -> None:
@@ -84,6 +88,7 @@ def serve_axis(
     from drivers.virtual.axes import configured
     from drivers.virtual.memory import Memory
     from drivers.virtual.serve import Endpoints, serve
+    from profiles.library import load_profile
 
     query = "&".join(changes)
     link = parse(f"virtual://{axis}" + (f"{'&' if '?' in axis else '?'}{query}" if query else ""))
@@ -94,8 +99,13 @@ def serve_axis(
         modbus_rtu_pty=modbus_rtu == "pty",
         socketcand=_place(socketcand),
         slcan_pty=slcan == "pty",
+        twin_of=load_profile(profile) if profile else None,
     )
-    if endpoints == Endpoints():
+    if profile and (endpoints.modbus_tcp or endpoints.modbus_rtu_tcp or endpoints.modbus_rtu_pty):
+        raise UsageError(
+            "--profile: twins are for CANopen so far: --socketcand HOST:PORT or --slcan pty"
+        )
+    if endpoints == Endpoints(twin_of=endpoints.twin_of):
         raise UsageError(
             "serve where? Give --modbus-tcp HOST:PORT, --modbus-rtu pty, --modbus-rtu-tcp HOST:PORT, "
             "--socketcand HOST:PORT or --slcan pty"

@@ -22,6 +22,7 @@ from profiles.errors import (
     UsageError,
     WriteFailed,
 )
+from profiles.schema import Profile, Trust
 
 __all__ = ["apply", "restore", "stop"]
 
@@ -116,6 +117,9 @@ def apply(
             present.append({**item, "old_raw": now.old, "old": old})
         show(present)
         stored = drive.profile.store is None or desk.journal.noted(run_id, STORED)
+        _verified(drive.profile, wanted)
+        if drive.profile.compensation.note:
+            desk.tell(drive.profile.compensation.note)
         if any(w.old != w.new for w in wanted) or not stored:
             desk.agree(f"These values will be WRITTEN to axis '{axis.name}' and stored.", axis.name)
             with desk.interruption.deferred():
@@ -127,6 +131,20 @@ def apply(
         folder.save(result, None, None)
         desk.interruption.check()
     return result
+
+
+def _verified(profile: Profile, wanted: list[_Wanted]) -> None:
+    """Raise Refused where a value would go to an address that nobody verified."""
+    doubtful = [
+        f"{w.parameter} ({profile.parameters[w.parameter].address})"
+        for w in wanted
+        if profile.parameters[w.parameter].trust is Trust.UNVERIFIED
+    ]
+    if doubtful:
+        raise Refused(
+            f"profile '{profile.name}' marks {', '.join(doubtful)} unverified: nothing was written. Check "
+            "the drive's manual, and mark them verified in a copy of the profile (tworelay profile show)"
+        )
 
 
 def _gains(result: dict[str, Any], rule: str) -> dict[str, Any]:

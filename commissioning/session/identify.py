@@ -209,6 +209,7 @@ def _fill(
         "bases": {
             "rated_torque": drive.scaling.rated_torque,
             "increments_per_revolution": drive.scaling.increments_per_revolution,
+            "torque_constant": drive.scaling.torque_constant,
         },
         "limits": {"travel": limits.travel, "torque": limits.torque, "speed": limits.speed},
         "first_look": {

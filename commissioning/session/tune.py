@@ -101,7 +101,10 @@ def _tune(result: dict[str, Any], axis: Axis, profile: Profile, drive: DriveLoop
         return Tuned(_marked(sets), notes)
     inside = LoopPlant(known.inertia, viscous, *own)
     bases = experiment["bases"]
-    scaling = Scaling(bases["rated_torque"], bases["increments_per_revolution"], axis.mechanics)
+    scaling = Scaling(
+        bases["rated_torque"], bases["increments_per_revolution"], axis.mechanics,
+        bases.get("torque_constant", 0.0),
+    )  # fmt: skip
     sets += [
         _json(proposal, _parameters(proposal, profile, scaling))
         for proposal in proposals(known, "drive", inside, _holder(profile, scaling))

@@ -72,7 +72,14 @@ class CanopenBus:
         self._heartbeat_every = watchdog.timeout / 4
         self._heartbeat_due = -1.0
         if pace.stepping:
-            set_simulation(self.write, profile, "simulation_cycle", pace.cycle)
+            set_simulation(self.write, profile, "simulation_cycle", pace.cycle, self._is_twin)
+
+    def _is_twin(self) -> bool:
+        """Whether the device name 1008h is that of a virtual drive in another one's clothes."""
+        try:
+            return self._wire.upload(0x1008, 0).startswith(b"twin of ")
+        except AccessDenied:
+            return False
 
     def identify(self) -> Identity:
         """Ask the drive who it is."""
@@ -184,7 +191,7 @@ class CanopenBus:
     def wait(self, seconds: float) -> None:
         """Let time pass; on a stepping drive, by asking it to."""
         if self._pace.stepping:
-            set_simulation(self.write, self._profile, "simulation_advance", seconds)
+            set_simulation(self.write, self._profile, "simulation_advance", seconds, self._is_twin)
         self._pace.pass_time(seconds)
 
     def other_master(self) -> str:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from drivers.virtual.device import Device
+from drivers.virtual.dictionary import OWN, Dictionary, Entry
 from drivers.virtual.firmware import (
     ERROR_HEARTBEAT,
     ERROR_PDO_TIMEOUT,
@@ -20,9 +21,6 @@ from drivers.virtual.firmware import (
 
 __all__ = ["CanopenNode", "Frame"]
 
-VENDOR = 0x00007457
-PRODUCT = 0x00000001
-REVISION = 0x00010000
 _MS = 1_000_000  # ns
 
 _PRE_OPERATIONAL, _OPERATIONAL, _STOPPED = 0x7F, 0x05, 0x04
@@ -55,57 +53,17 @@ class _Abort(Exception):
         self.code = code
 
 
-class _Entry(NamedTuple):
-    """Object entry that mirrors a firmware value: od value * factor = firmware value."""
-
-    key: str
-    code: str
-    access: str = "rw"
-    factor: int = 1
-
-
-_OBJECTS: dict[tuple[int, int], _Entry] = {
-    (0x1006, 0): _Entry("simulation_cycle", "I"),
-    (0x2010, 1): _Entry("torque_offset", "h"),
-    (0x2010, 2): _Entry("coulomb_positive", "H"),
-    (0x2010, 3): _Entry("coulomb_negative", "H"),
-    (0x2010, 4): _Entry("viscous_gain", "H"),
-    (0x2011, 1): _Entry("velocity_gain", "I"),
-    (0x2011, 2): _Entry("integral_time", "I"),
-    (0x2011, 3): _Entry("position_gain", "I"),
-    (0x2011, 4): _Entry("torque_lag", "I"),
-    (0x2FF0, 0): _Entry("simulation_advance", "I"),
-    (0x6007, 0): _Entry("abort_connection_option", "h"),
-    (0x603F, 0): _Entry("error_code", "H", "ro"),
-    (0x6040, 0): _Entry("controlword", "H"),
-    (0x6041, 0): _Entry("statusword", "H", "ro"),
-    (0x605A, 0): _Entry("quick_stop_option", "h"),
-    (0x6060, 0): _Entry("mode", "b"),
-    (0x6061, 0): _Entry("mode_display", "b", "ro"),
-    (0x6064, 0): _Entry("position_actual", "i", "ro"),
-    (0x6065, 0): _Entry("following_window", "I"),
-    (0x606C, 0): _Entry("velocity_actual", "i", "ro"),
-    (0x6071, 0): _Entry("torque_target", "h"),
-    (0x6072, 0): _Entry("max_torque", "H"),
-    (0x6076, 0): _Entry("rated_torque", "I", "ro", 1000),
-    (0x6077, 0): _Entry("torque_actual", "h", "ro"),
-    (0x607A, 0): _Entry("position_target", "i"),
-    (0x6080, 0): _Entry("max_speed", "I", "rw", 10),
-    (0x6087, 0): _Entry("torque_slope", "I"),
-    (0x608F, 1): _Entry("encoder_increments", "I", "ro"),
-    (0x608F, 2): _Entry("encoder_revolutions", "I", "ro"),
-    (0x60FF, 0): _Entry("velocity_target", "i"),
-    (0x6502, 0): _Entry("supported_modes", "I", "ro"),
-}
-
-_STRINGS = {0x1008: b"tworelay virtual drive", 0x1009: b"none", 0x100A: b"1.0"}
-_COUNTS = {0x1010: 1, 0x1016: 1, 0x1018: 4, 0x2010: 4, 0x608F: 2}
-
 _DENIALS = {
     Reason.NO_OBJECT: _ABORT_NO_OBJECT,
     Reason.READ_ONLY: _ABORT_READ_ONLY,
     Reason.RANGE: _ABORT_RANGE,
     Reason.STATE: _ABORT_STATE,
+}
+
+
+_LIMITS = {
+    code: (-(1 << bits - 1), (1 << bits - 1) - 1) if code.islower() else (0, (1 << bits) - 1)
+    for code, bits in {"b": 8, "B": 8, "h": 16, "H": 16, "i": 32, "I": 32, "q": 64, "Q": 64}.items()
 }
 
 
@@ -132,20 +90,24 @@ class _Pdo:
     def active(self) -> bool:
         return not self.cob_id & _OFF
 
-    @property
-    def mapped(self) -> list[tuple[_Entry, int]]:
+    def mapped(self, dictionary: Dictionary) -> list[tuple[Entry, int]]:
         """Entry and its length in bytes, in order."""
         return [
-            (_OBJECTS[slot >> 16, slot >> 8 & 0xFF], (slot & 0xFF) // 8)
+            (dictionary.objects[slot >> 16, slot >> 8 & 0xFF], (slot & 0xFF) // 8)
             for slot in self.slots[: self.count]
         ]
 
 
 class CanopenNode:
-    """Frames in by `receive`, time by `poll`; both return the frames that the node sends."""
+    """Frames in by `receive`, time by `poll`; both return the frames that the node sends.
 
-    def __init__(self, device: Device, node_id: int) -> None:
+    `dictionary`: the objects that it has; another drive's make it that drive's twin.
+    """
+
+    def __init__(self, device: Device, node_id: int, dictionary: Dictionary = OWN) -> None:
         self.device = device
+        self._dictionary = dictionary
+        self._kept: dict[Entry, int] = {}  # of objects that do nothing
         self.node_id = node_id
         self.state = _PRE_OPERATIONAL
         self._producer = 0  # ms, object 1017h
@@ -262,14 +224,14 @@ class CanopenNode:
             self._apply(pdo, data)
 
     def _apply(self, pdo: _Pdo, data: bytes) -> None:
-        if len(data) < sum(length for _, length in pdo.mapped):
+        if len(data) < sum(length for _, length in pdo.mapped(self._dictionary)):
             self._emergency(0x8210)  # PDO not processed: length
             return
-        for entry, length in pdo.mapped:
+        for entry, length in pdo.mapped(self._dictionary):
             value = struct.unpack("<" + entry.code, data[:length])[0]
             data = data[length:]
             try:
-                self.device.write(entry.key, value * entry.factor)
+                self._set(entry, value)
             except Denied:
                 self._emergency(0x8220)
 
@@ -292,8 +254,8 @@ class CanopenNode:
     def _send_tpdo(self, pdo: _Pdo) -> None:
         pdo.since = self.device.firmware.now
         data = b"".join(
-            struct.pack("<" + entry.code, self.device.read(entry.key) // entry.factor)
-            for entry, _ in pdo.mapped
+            struct.pack("<" + entry.code, self._value(entry))
+            for entry, _ in pdo.mapped(self._dictionary)
         )
         self._send(pdo.cob_id & 0x7FF, data)
 
@@ -369,27 +331,41 @@ class CanopenNode:
         self._answer(bytes((0x20 | self._toggle << 4,)))
         self._toggle ^= 1
 
+    def _value(self, entry: Entry) -> int:
+        """Object value: as the firmware has it, in the object's own steps; raises Denied."""
+        if not entry.keys:
+            return self._kept.get(entry, entry.default)
+        low, high = _LIMITS[entry.code]
+        return max(low, min(high, round(self.device.read(entry.keys[0]) / entry.factor)))
+
+    def _set(self, entry: Entry, value: int) -> None:
+        """Write an object value to all that it mirrors; raises Denied."""
+        if not entry.keys:
+            self._kept[entry] = value
+        for key in entry.keys:
+            self.device.write(key, round(value * entry.factor))
+
     # -- object dictionary ---------------------------------------------------------------------------
 
     def _read(self, index: int, sub: int) -> bytes:
-        entry = _OBJECTS.get((index, sub))
+        entry = self._dictionary.objects.get((index, sub))
         if entry is not None:
             if entry.access == "wo":
                 raise _Abort(_ABORT_WRITE_ONLY)
             try:
-                value = self.device.read(entry.key) // entry.factor
+                value = self._value(entry)
             except Denied as denied:
                 raise _Abort(_DENIALS[denied.reason]) from None
             return struct.pack("<" + entry.code, value)
         pdo = self._pdo(index)
         if pdo is not None:
             return self._read_pdo(pdo, index, sub)
-        if index in _STRINGS and sub == 0:
-            return _STRINGS[index]
-        if index in _COUNTS and sub == 0:
-            return bytes((_COUNTS[index],))
+        if index in self._dictionary.strings and sub == 0:
+            return self._dictionary.strings[index]
+        if index in self._dictionary.counts and sub == 0:
+            return bytes((self._dictionary.counts[index],))
         firmware = self.device.firmware
-        identity = (VENDOR, PRODUCT, REVISION, firmware.axis.serial)
+        identity = (*self._dictionary.identity, firmware.axis.serial)
         plain: dict[tuple[int, int], bytes] = {
             (0x1000, 0): struct.pack("<I", 0x00020192),
             (0x1001, 0): bytes((self._error_register(firmware.error_code),)),
@@ -402,23 +378,29 @@ class CanopenNode:
             **{(0x1018, n + 1): struct.pack("<I", number) for n, number in enumerate(identity)},
         }
         found = plain.get((index, sub))
-        if found is None:
+        if found is None or index in self._dictionary.lacks:
             raise _Abort(self._missing(index))
         return found
 
     def _missing(self, index: int) -> int:
-        known = index in _COUNTS or index in _STRINGS or any(i == index for i, _ in _OBJECTS)
+        own = self._dictionary
+        known = index in own.counts or index in own.strings or (index, 0) in own.objects
         return _ABORT_NO_SUB if known or self._pdo(index) is not None else _ABORT_NO_OBJECT
 
     def _write(self, index: int, sub: int, data: bytes, *, sized: bool) -> None:
-        entry = _OBJECTS.get((index, sub))
+        entry = self._dictionary.objects.get((index, sub))
         if entry is not None:
             if entry.access == "ro":
                 raise _Abort(_ABORT_READ_ONLY)
             value = self._number(data, entry.code, sized=sized)
-            self._to_device(entry.key, value * entry.factor)
+            try:
+                self._set(entry, value)
+            except Denied as denied:
+                raise _Abort(_DENIALS[denied.reason]) from None
             return
         pdo = self._pdo(index)
+        if index in self._dictionary.lacks:
+            raise _Abort(_ABORT_NO_OBJECT)
         if pdo is not None:
             self._write_pdo(pdo, index, sub, data)
         elif (index, sub) == (0x1010, 1):
@@ -497,13 +479,13 @@ class CanopenNode:
         else:
             raise _Abort(_ABORT_NO_SUB if sub else _ABORT_READ_ONLY)
 
-    @staticmethod
-    def _write_mapping(pdo: _Pdo, sub: int, value: int) -> None:
+    def _write_mapping(self, pdo: _Pdo, sub: int, value: int) -> None:
         if pdo.active:
             raise _Abort(_ABORT_STATE)
         if sub == 0:
             if value > len(pdo.slots) or any(
-                (slot >> 16, slot >> 8 & 0xFF) not in _OBJECTS for slot in pdo.slots[:value]
+                (slot >> 16, slot >> 8 & 0xFF) not in self._dictionary.objects
+                for slot in pdo.slots[:value]
             ):
                 raise _Abort(_ABORT_NOT_MAPPABLE)
             if sum(slot & 0xFF for slot in pdo.slots[:value]) > 64:
@@ -514,7 +496,7 @@ class CanopenNode:
             raise _Abort(_ABORT_NO_SUB)
         if pdo.count:
             raise _Abort(_ABORT_STATE)
-        entry = _OBJECTS.get((value >> 16, value >> 8 & 0xFF))
+        entry = self._dictionary.objects.get((value >> 16, value >> 8 & 0xFF))
         if entry is None or struct.calcsize("<" + entry.code) * 8 != value & 0xFF:
             raise _Abort(_ABORT_NOT_MAPPABLE)
         pdo.slots[sub - 1] = value

@@ -554,10 +554,12 @@ class Firmware:
         """Friction compensation by the direction of the velocity command, N.m or N."""
         values = self.values
         torque = values["torque_offset"] * self._unit
+        threshold = values["coulomb_speed"] * _TENTH_RPM
+        share = min(abs(velocity_command) / threshold, 1.0) if threshold else 1.0
         if velocity_command > 0:
-            torque += values["coulomb_positive"] * self._unit
+            torque += share * values["coulomb_positive"] * self._unit
         elif velocity_command < 0:
-            torque -= values["coulomb_negative"] * self._unit
+            torque -= share * values["coulomb_negative"] * self._unit
         return torque + values["viscous_gain"] * 1e-5 * self.axis.rated * velocity_command
 
     def _set_limited(self, torque: float) -> None:

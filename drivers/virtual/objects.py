@@ -73,6 +73,7 @@ def objects(axis: VirtualAxis) -> dict[str, Object]:
         "torque_offset": setting(0, -1000, 1000),  # per mille of rated
         "coulomb_positive": setting(0, 0, 1000),
         "coulomb_negative": setting(0, 0, 1000),
+        "coulomb_speed": setting(0, 0, 10_000_000),  # 0.1 rpm: linear up to there; 0: at once
         "viscous_gain": setting(0, 0, 65535),  # 1e-5 of rated a rad/s
         "velocity_gain": setting(round(1e6 * gain / axis.rated), 0, _MOST),  # 1e-6 of rated a rad/s
         "integral_time": setting(round(1e6 * integral), 0, _MOST),  # us; 0: no integral part

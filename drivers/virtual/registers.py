@@ -40,6 +40,7 @@ MAP: dict[int, tuple[str, str]] = {
     0x0401: ("coulomb_positive", "H"),
     0x0402: ("coulomb_negative", "H"),
     0x0403: ("viscous_gain", "H"),
+    0x0404: ("coulomb_speed", "I"),
     0x0410: ("velocity_gain", "I"),
     0x0412: ("integral_time", "I"),
     0x0414: ("position_gain", "I"),

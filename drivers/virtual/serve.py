@@ -14,6 +14,7 @@ from drivers.virtual.device import Clock, Device
 from drivers.virtual.firmware import Firmware
 from drivers.virtual.memory import Memory
 from profiles.errors import UsageError
+from profiles.schema import Profile
 
 __all__ = ["Endpoints", "serve"]
 
@@ -32,6 +33,7 @@ class Endpoints:
     modbus_rtu_pty: bool = False
     socketcand: tuple[str, int] | None = None
     slcan_pty: bool = False
+    twin_of: Profile | None = None  # of another drive, on CANopen
 
 
 def serve(
@@ -135,8 +137,11 @@ async def _canopen(
 ) -> tuple[Callable[[], None], list[str]]:
     from drivers.virtual.can_wires import CanBus, SlcanPty, SocketcandServer
     from drivers.virtual.canopen_node import CanopenNode
+    from drivers.virtual.dictionary import OWN
+    from drivers.virtual.twin import twin
 
-    bus = CanBus(CanopenNode(device, NODE))
+    dictionary = OWN if endpoints.twin_of is None else twin(endpoints.twin_of, device.firmware.axis)
+    bus = CanBus(CanopenNode(device, NODE, dictionary))
     links: list[str] = []
     if endpoints.socketcand is not None:
         server = SocketcandServer(bus)

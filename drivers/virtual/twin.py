@@ -1,0 +1,119 @@
+"""A drive that behaves by another drive's map: its twin on CANopen.
+
+The objects, their types and units are the profile's; what they do is the virtual firmware's. A twin cannot
+show that its profile is wrong: it is to rehearse on, and to try every profile from end to end.
+"""
+
+from __future__ import annotations
+
+from drivers.virtual.axes import VirtualAxis
+from drivers.virtual.dictionary import SIMULATION, Dictionary, Entry
+from drivers.virtual.objects import MODES
+from profiles.errors import UsageError
+from profiles.schema import CanopenAddress, CompensationLaw, Parameter, Profile, Unit
+
+__all__ = ["twin"]
+
+_TURN = 6.283185307179586  # rad
+_CODES = {
+    "i8": "b", "u8": "B", "i16": "h", "u16": "H", "i32": "i", "u32": "I", "i64": "q", "u64": "Q",
+}  # fmt: skip
+# firmware value: (unit, step) as in docs/virtual-drive.md
+_FIRMWARE: dict[str, tuple[Unit, float]] = {
+    "controlword": (Unit.NONE, 1.0), "statusword": (Unit.NONE, 1.0), "error_code": (Unit.NONE, 1.0),
+    "mode": (Unit.NONE, 1.0), "mode_display": (Unit.NONE, 1.0), "supported_modes": (Unit.NONE, 1.0),
+    "torque_target": (Unit.RATED_TORQUE, 1e-3), "torque_actual": (Unit.RATED_TORQUE, 1e-3),
+    "position_target": (Unit.INCREMENT, 1.0), "position_actual": (Unit.INCREMENT, 1.0),
+    "velocity_actual": (Unit.INCREMENT_PER_SECOND, 1.0), "rated_torque": (Unit.TORQUE, 1e-6),
+    "encoder_increments": (Unit.NONE, 1.0), "encoder_revolutions": (Unit.NONE, 1.0),
+    "max_torque": (Unit.RATED_TORQUE, 1e-3), "max_speed": (Unit.RPM, 0.1),
+    "torque_slope": (Unit.RATED_TORQUE_PER_SECOND, 1e-3), "quick_stop_option": (Unit.NONE, 1.0),
+    "abort_connection_option": (Unit.NONE, 1.0), "torque_offset": (Unit.RATED_TORQUE, 1e-3),
+    "coulomb_positive": (Unit.RATED_TORQUE, 1e-3), "coulomb_negative": (Unit.RATED_TORQUE, 1e-3),
+    "viscous_gain": (Unit.RATED_TORQUE_PER_SPEED, 1e-5), "coulomb_speed": (Unit.RPM, 0.1),
+    "velocity_gain": (Unit.RATED_TORQUE_PER_SPEED, 1e-6), "integral_time": (Unit.SECOND, 1e-6),
+    "position_gain": (Unit.PER_SECOND, 0.01),
+}  # fmt: skip
+# a profile's own name for it, where it is another one
+_NAMES = {"mode_of_operation": "mode"}
+_ELSEWHERE = {0x1010, 0x1016, 0x1018}  # communication objects, which the node itself has
+RATED_CURRENT = 2.0  # A, of every virtual motor
+
+
+def twin(profile: Profile, axis: VirtualAxis) -> Dictionary:
+    """The object dictionary of the drive that `profile` is for, before `axis`; raises UsageError."""
+    if profile.bus != "canopen":
+        raise UsageError(
+            f"profile '{profile.name}' is for {profile.bus}: its twin is no CANopen node"
+        )
+    objects: dict[tuple[int, int], Entry] = dict(SIMULATION)
+    compensation = _compensation(profile)
+    indices = set()
+    for name, parameter in profile.parameters.items():
+        address = parameter.address
+        assert isinstance(address, CanopenAddress)
+        indices.add(address.index)
+        if address.index in _ELSEWHERE:
+            continue
+        keys = compensation.get(name) or (_NAMES.get(name, name),)
+        objects[address.index, address.sub] = _entry(name, keys, parameter, address, axis)
+    identity = tuple(_number(text) for text in (profile.identity.vendor, profile.identity.product))
+    revision = profile.identity.revisions[0] if profile.identity.revisions else "0x00010000"
+    return Dictionary(
+        objects,
+        (identity[0], identity[1], _number(revision)),
+        {0x1008: f"twin of {profile.name}".encode(), 0x1009: b"none", 0x100A: b"1.0"},
+        frozenset({0x1010, 0x1016} - indices),
+    )
+
+
+def _compensation(profile: Profile) -> dict[str, tuple[str, ...]]:
+    """Firmware values behind the parameters of the compensation law."""
+    law = profile.compensation
+    both = ("coulomb_positive", "coulomb_negative")
+    named = {
+        law.offset: ("torque_offset",), law.positive: both[:1], law.negative: both[1:],
+        law.gain: both, law.speed: ("coulomb_speed",), law.viscous: ("viscous_gain",),
+    }  # fmt: skip
+    if law.law is CompensationLaw.NONE:
+        return {}
+    return {name: keys for name, keys in named.items() if name is not None}
+
+
+def _entry(
+    name: str,
+    keys: tuple[str, ...],
+    parameter: Parameter,
+    address: CanopenAddress,
+    axis: VirtualAxis,
+) -> Entry:
+    access = "ro" if parameter.access == "ro" else str(parameter.access)
+    code = _CODES[address.type]
+    if name == "supported_modes":
+        return Entry((), code, "ro", default=sum(1 << (mode - 1) for mode in MODES))
+    if name == "rated_current":
+        return Entry((), code, "ro", default=round(RATED_CURRENT / parameter.scale))
+    known = [key for key in keys if key in _FIRMWARE]
+    if not known:
+        return Entry((), code, access)
+    unit, step = _FIRMWARE[known[0]]
+    factor = parameter.scale * _size(parameter.unit, axis) / (step * _size(unit, axis))
+    return Entry(tuple(known), code, access, factor)
+
+
+def _size(unit: Unit, axis: VirtualAxis) -> float:
+    """What one of a unit is, in SI of the motor."""
+    constant = axis.rated / RATED_CURRENT
+    increment = axis.resolution
+    return {
+        Unit.RATED_TORQUE: axis.rated, Unit.RATED_TORQUE_PER_SECOND: axis.rated,
+        Unit.RATED_TORQUE_PER_SPEED: axis.rated, Unit.CURRENT: constant, Unit.RPM: _TURN / 60,
+        Unit.REVOLUTION: _TURN, Unit.INCREMENT: increment, Unit.INCREMENT_PER_SECOND: increment,
+    }.get(unit, 1.0)  # fmt: skip
+
+
+def _number(text: str | None) -> int:
+    try:
+        return int(text or "0", 0)
+    except ValueError:
+        return 0

@@ -1,0 +1,105 @@
+"""Every built-in CANopen profile against its twin, as a technician would rehearse it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from drivers.link import axis_of, open_drive
+from profiles.library import builtin_names, load_profile
+from tests.conftest import Serve, Tworelay
+
+PROFILES = [
+    name
+    for name in builtin_names()
+    if load_profile(name).bus == "canopen" and load_profile(name).status != "virtual"
+]
+
+
+def served(serve: Serve, profile: str) -> str:
+    return serve("bench", "--profile", profile, "--socketcand", "127.0.0.1:0", "--clock", "step")[0]
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_a_profile_identifies_its_twin(serve: Serve, tworelay: Tworelay, profile: str) -> None:
+    link = served(serve, profile)
+    loaded = load_profile(profile)
+    options = ["--profile", profile] if loaded.identity.empty else []  # else it is found by itself
+    options += ["--without-watchdog"] if loaded.watchdog.kind == "none" else []
+    done = tworelay("identify", link, "--travel", "3", "--yes", "--json", "-", *options)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert result["profile"]["name"] == profile
+    assert result["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.01)
+    assert result["friction"]["inertia"]["value"] == pytest.approx(1e-3, rel=0.01)
+    if loaded.compensation.law == "none":
+        assert result["compensation"] == []
+
+
+def test_the_ax2000_gets_a_current_and_is_told_what_else_it_needs(
+    serve: Serve, tworelay: Tworelay
+) -> None:
+    link = served(serve, "beckhoff-ax2000")
+    options = ("--profile", "beckhoff-ax2000", "--travel", "3", "--yes")
+    assert tworelay("identify", link, *options).returncode == 0
+    done = tworelay("apply", "last", "--yes")
+    assert done.returncode == 0, done.stderr
+    assert "takes effect after a save and a reset" in done.stdout
+    axis = axis_of(link).model_copy(update={"profile": "beckhoff-ax2000"})
+    drive = open_drive(axis)
+    # 85 % of 0.1 N.m, at the twin's 1 N.m for 2 A: 0.17 A, weighted by 1000
+    assert drive.read_raw("friction_current") == 170
+    assert drive.read("friction_current") == pytest.approx(0.085)
+    drive.close()
+    assert tworelay("restore").returncode == 0
+
+
+def test_an_unverified_address_is_not_written(serve: Serve, tworelay: Tworelay) -> None:
+    link = served(serve, "kollmorgen-akd")
+    options = ("--profile", "kollmorgen-akd", "--travel", "3", "--yes")
+    assert tworelay("identify", link, *options).returncode == 0
+    done = tworelay("apply", "last", "--yes")
+    assert done.returncode == 3
+    assert "friction (3422h:00) unverified: nothing was written" in done.stderr.replace(
+        "current_offset (3423h:00), ", ""
+    )
+    assert tworelay("restore").stdout.strip() == "nothing to restore"
+
+
+def test_a_drive_whose_motor_is_not_set_up_has_no_torque_scale(
+    serve: Serve, tworelay: Tworelay, tmp_path: Path
+) -> None:
+    """EPOS4 and Elmo are delivered with 6076h = 0; the twin of a profile without it likewise."""
+    profile = tmp_path / "mine.toml"
+    profile.write_text('extends = "elmo-gold"\nname = "mine"\nwithout = ["rated_torque"]\n')
+    link = served(serve, "elmo-gold")
+    done = tworelay("identify", link, "--profile", str(profile), "--travel", "3", "--yes")
+    assert done.returncode == 3
+    assert "give rated_torque (N.m of the motor) in the axis file" in done.stderr
+    axis = tmp_path / "axis.toml"
+    axis.write_text(f'link = "{link}"\nprofile = "{profile}"\ntravel = 3.0\nrated_torque = 1.0\n')
+    done = tworelay("identify", str(axis), "--yes", "--json", "-")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.01)
+
+
+def test_a_step_clock_is_not_written_to_a_drive_that_is_no_twin(
+    serve: Serve, tworelay: Tworelay
+) -> None:
+    (link,) = serve("bench", "--socketcand", "127.0.0.1:0")
+    done = tworelay("identify", f"{link}&clock=step", "--profile", "cia402", "--yes")
+    assert done.returncode == 4
+    assert "needs a served virtual drive" in done.stderr
+
+
+def test_a_twin_is_a_canopen_node_so_far(tworelay: Tworelay) -> None:
+    for arguments, words in (
+        (["--profile", "elmo-gold", "--modbus-tcp", "127.0.0.1:0"], "twins are for CANopen so far"),
+        (["--profile", "virtual-modbus", "--socketcand", "127.0.0.1:0"], "is no CANopen node"),
+        (["--profile", "nosuch", "--socketcand", "127.0.0.1:0"], "no profile named 'nosuch'"),
+    ):
+        done = tworelay("virtual", "serve", "bench", *arguments)
+        assert done.returncode == 2, done.stderr
+        assert words in done.stderr

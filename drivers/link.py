@@ -222,7 +222,8 @@ def modbus_wire(link: Link, profile: Profile | None) -> Wire:
     from drivers.modbus.wires import RtuLine, TcpWire, Tls
 
     common = {"unit", "timeout", "clock"}
-    gap = profile.link.silence if profile else 0.0
+    stepping = link.options.get("clock") == "step"  # then no line is there that wants silence
+    gap = profile.link.silence if profile and not stepping else 0.0
     if link.scheme == "modbus-rtu":
         _only(link, common | {"baudrate", "parity", "stopbits"})
         defaults = profile.link if profile else None

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import nan
 
-from drivers import cia402
 from drivers.drive import Bus, Exchange, StopReport
+from drivers.power import perform, power_of
 from drivers.sample import Sample
 from drivers.scaling import Scaling
 from profiles.axis import Axis
 from profiles.errors import (
-    DriveFault,
     PreflightRefused,
     TwoRelayError,
     UnknownName,
@@ -33,9 +32,13 @@ from profiles.schema import (
 __all__ = ["ProfiledDrive"]
 
 _new = tuple.__new__  # a named tuple in half the time: there are hundreds of thousands
+_NOBODY = Identity(vendor="", product="", revision="", serial="")
+_IDENTITY = {
+    "product": "product_code", "revision": "revision_code", "serial": "serial_number",
+}  # fmt: skip
 _WRITTEN = (Protection.EXPERIMENT, Protection.COMPENSATION, Protection.GAIN)
 _POLL = 0.005  # s between two looks at a state
-_TRANSITION = 2.0  # s for one transition of the state machine, brake included
+_MODE_CHANGE = 2.0  # s
 
 
 class ProfiledDrive:
@@ -53,13 +56,13 @@ class ProfiledDrive:
         self.cycle = bus.cycle
         self.in_real_time = bus.in_real_time
         self._bus = bus
+        self._power = power_of(bus, profile, self.status_text)
         self._rest_raw = 0
         self._energised = False
         self._mode_before: int | None = None
         self.scaling = Scaling(1.0, 1.0, axis.mechanics) if to_stop else self._read_bases(axis)
         self._select(Mode.TORQUE, profile.modes[Mode.TORQUE][0])
         names = profile.cycle.in_
-        self._at_status = names.index("statusword")
         self._at_position = names.index("position_actual")
         self._at_torque = names.index("torque_actual") if "torque_actual" in names else None
         self._position_step = self._step("position_actual")
@@ -122,12 +125,14 @@ class ProfiledDrive:
     # -- parameters ------------------------------------------------------------------------------
 
     def identity(self) -> Identity:
-        """Who the drive says it is; the serial from `serial_number` where the bus tells none."""
-        identity = self._bus.identify()
-        if identity.serial or "serial_number" not in self.profile.parameters:
-            return identity
-        serial = f"0x{self.read_raw('serial_number'):08X}"
-        return identity.model_copy(update={"serial": serial})
+        """Who the drive says it is; from its parameters what the bus does not tell."""
+        asked = self.profile.identity.asked
+        identity = self._bus.identify() if asked else _NOBODY
+        told = {}
+        for field, name in _IDENTITY.items():
+            if not getattr(identity, field) and name in self.profile.parameters:
+                told[field] = f"0x{self.read_raw(name):08X}"
+        return identity.model_copy(update=told)
 
     def read(self, name: str) -> float:
         """Value of a parameter, SI at the axis."""
@@ -182,7 +187,8 @@ class ProfiledDrive:
                 f"profile '{self.profile.name}' has no store procedure: the values are lost at "
                 "power-off"
             )
-        self._perform(self.profile.store.steps, "store")
+        steps = self.profile.store.steps
+        perform(self._bus, self.profile, steps, "store", lambda: self._pause(_POLL))
 
     def watchdog_settings(self) -> dict[str, int]:
         """Raw value of each parameter that arms the drive-side watchdog; empty: it has none."""
@@ -206,7 +212,7 @@ class ProfiledDrive:
 
     def status_text(self) -> str:
         """State of the drive in words, with what it reported."""
-        text = cia402.state(self.read_raw("statusword"))
+        text = self._power.text()
         code = self.read_raw("error_code") if "error_code" in self.profile.parameters else 0
         trouble = self._bus.trouble()
         if code:
@@ -215,8 +221,7 @@ class ProfiledDrive:
 
     def is_energised(self) -> bool:
         """Whether the drive says that it controls the axis."""
-        word = self.read_raw("statusword")
-        return cia402.status(word).enabled or cia402.status(word).stopping
+        return self._power.is_energised()
 
     def other_master(self) -> str:
         """What another master sent on the same bus, or ''."""
@@ -224,14 +229,11 @@ class ProfiledDrive:
 
     def in_fault(self) -> bool:
         """Whether the drive reports a fault."""
-        return cia402.status(self.read_raw("statusword")).fault
+        return self._power.in_fault()
 
     def reset_fault(self) -> None:
         """Acknowledge a fault; never enables. Raises PreflightRefused when the fault stays."""
-        control = self._parameter("controlword").address
-        self._bus.write(control, 0)
-        self._bus.write(control, cia402.FAULT_RESET)
-        self._bus.write(control, 0)
+        self._power.acknowledge()
         if self.in_fault():
             raise PreflightRefused(
                 f"the drive stays in fault after a reset: {self.status_text()}; remove its cause"
@@ -245,9 +247,10 @@ class ProfiledDrive:
             )
         code = self._supported(mode)
         self._select(mode, code)
-        if self._mode_before is None:
-            self._mode_before = self.read_raw("mode_display")
-        self._set_mode(code)
+        if code.code is not None:
+            if self._mode_before is None:
+                self._mode_before = self.read_raw("mode_display")
+            self._set_mode(code.code)
         target = self._parameter(code.set_point)
         self._rest_raw = (
             self.read_raw("position_actual")
@@ -258,11 +261,11 @@ class ProfiledDrive:
         self._verify(code.set_point, target, self._rest_raw)
         self._bus.start(self._frame(self._rest_raw))
         self._energised = True
-        self._walk(enabled=True)
+        self._power.enable(list(self._frame(self._rest_raw)))
 
     def disable(self) -> None:
         """Take the energy away from an axis at rest; raises LinkError, DriveFault."""
-        self._walk(enabled=False)
+        self._power.disable(list(self._frame(self._rest_raw)))
         self._energised = False
 
     def rehearse(self, count: int) -> list[Exchange]:
@@ -293,14 +296,14 @@ class ProfiledDrive:
             f"the drive supports no {mode} mode: supported modes {bits:08X}h lack mode {wanted}"
         )
 
-    def _set_mode(self, code: ModeCode) -> None:
-        self._bus.write(self._parameter("mode_of_operation").address, code.code)
-        for _ in range(round(_TRANSITION / _POLL)):
+    def _set_mode(self, code: int) -> None:
+        self._bus.write(self._parameter("mode_of_operation").address, code)
+        for _ in range(round(_MODE_CHANGE / _POLL)):
             display = self.read_raw("mode_display")
-            if display == code.code:
+            if display == code:
                 return
             self._bus.wait(_POLL)
-        raise PreflightRefused(f"the drive stays in mode {display} instead of {code.code}")
+        raise PreflightRefused(f"the drive stays in mode {display} instead of {code}")
 
     def _select(self, mode: Mode, code: ModeCode) -> None:
         self._mode = mode
@@ -312,43 +315,7 @@ class ProfiledDrive:
                 f"profile '{self.profile.name}' does not exchange '{code.set_point}' in its cycle"
             )
         self._at_set_point = out.index(code.set_point)
-        self._idle = [0] * len(out)
-        if "controlword" in out:
-            self._idle[out.index("controlword")] = cia402.ENABLE
-
-    def _walk(self, *, enabled: bool) -> None:
-        """Walk the state machine, one transition at a time, the cycle running all the while."""
-        control = self._parameter("controlword").address
-        goals = ("operation enabled",) if enabled else ("switch on disabled", "fault")
-        frame = list(self._frame(self._rest_raw))
-        if "controlword" in self.profile.cycle.out:
-            at = self.profile.cycle.out.index("controlword")
-            frame[at] = cia402.SHUTDOWN if enabled else cia402.SWITCH_ON
-        sent: tuple[str, int] | None = None
-        cycles = 0
-        while True:
-            word = self.read_raw("statusword")
-            here = cia402.state(word)
-            if here in goals:
-                return
-            if enabled and cia402.status(word).fault:
-                raise DriveFault(f"the drive went into fault while enabling: {self.status_text()}")
-            step = cia402.next_controlword(word, enabled=enabled)
-            if step is not None and sent != (here, step):
-                if "controlword" in self.profile.cycle.out:
-                    frame[at] = step
-                self._bus.write(control, step)
-                sent, cycles = (here, step), 0
-            elif cycles * self.cycle >= _TRANSITION:
-                goal = "enabled" if enabled else "disabled"
-                raise PreflightRefused(
-                    f"the drive does not become {goal}: it stays '{here}' for {_TRANSITION:g} s "
-                    "(STO or enable input open, or no mains?)"
-                )
-            else:
-                # the cycle feeds the drive's watchdog while brake and ramps take their time
-                self._bus.exchange(tuple(frame))
-                cycles += 1
+        self._idle = self._power.idle()
 
     # -- cycle -----------------------------------------------------------------------------------
 
@@ -365,7 +332,7 @@ class ProfiledDrive:
                 nan if at_torque is None else values[at_torque] * self._torque_step,
                 in_force[self._at_set_point] * self._set_point_step,
                 sent,
-                cia402.status(values[self._at_status]),
+                self._power.status(values),
                 lateness,
                 missed,
             ),
@@ -447,25 +414,9 @@ class ProfiledDrive:
         finally:
             self._bus.close()
 
-    # -- procedures ------------------------------------------------------------------------------
-
-    def _perform(self, steps: tuple[Step, ...], what: str) -> None:
-        for step in steps:
-            if step.write is not None and step.raw is not None:
-                self._bus.write(self._parameter(step.write).address, step.raw)
-                continue
-            name = step.until or ""
-            waited = 0.0
-            while (
-                there := self._bus.read(self._parameter(name).address)
-            ) & step.mask != step.equals:
-                if waited >= step.within:
-                    raise WriteFailed(
-                        f"{what}: '{name}' reads {there} for {step.within:g} s instead of "
-                        f"{step.equals}"
-                    )
-                self._bus.wait(_POLL)
-                waited += _POLL
+    def _pause(self, seconds: float) -> float:
+        self._bus.wait(seconds)
+        return seconds
 
     def _parameter(self, name: str) -> Parameter:
         try:

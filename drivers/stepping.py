@@ -6,16 +6,22 @@ from collections.abc import Callable
 from typing import Literal
 
 from profiles.errors import AccessDenied, LinkError
-from profiles.schema import Address, CanopenAddress, Profile
+from profiles.schema import Address, CanopenAddress, ModbusAddress, Profile
 
 __all__ = ["Simulation", "set_simulation"]
 
 Simulation = Literal["simulation_cycle", "simulation_advance"]
 
-# where the virtual drive has them on CANopen, in us; a twin of another drive has them, too
-_TWIN: dict[str, Address] = {
-    "simulation_cycle": CanopenAddress(index=0x1006, type="u32"),
-    "simulation_advance": CanopenAddress(index=0x2FF0, type="u32"),
+# where a twin of another drive has them, in us
+_TWIN: dict[tuple[str, str], Address] = {
+    ("canopen", "simulation_cycle"): CanopenAddress(index=0x1006, type="u32"),
+    ("canopen", "simulation_advance"): CanopenAddress(index=0x2FF0, type="u32"),
+    ("modbus", "simulation_cycle"): ModbusAddress.model_validate(
+        {"register": 0xFF00, "type": "u32"}
+    ),
+    ("modbus", "simulation_advance"): ModbusAddress.model_validate(
+        {"register": 0xFF02, "type": "u32"}
+    ),
 }
 _MICROSECOND = 1e-6
 
@@ -25,7 +31,7 @@ def set_simulation(
     profile: Profile,
     name: Simulation,
     seconds: float,
-    is_twin: Callable[[], bool] = lambda: False,
+    is_twin: Callable[[], bool],
 ) -> None:
     """Let the drive's own clock know; raises LinkError where it has none.
 
@@ -35,7 +41,7 @@ def set_simulation(
     if parameter is not None:
         address, scale = parameter.address, parameter.scale
     elif is_twin():
-        address, scale = _TWIN[name], _MICROSECOND
+        address, scale = _TWIN[profile.bus, name], _MICROSECOND
     else:
         raise LinkError(
             f"clock=step needs a served virtual drive; profile '{profile.name}' has no '{name}'"

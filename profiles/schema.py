@@ -16,6 +16,7 @@ __all__ = [
     "CanopenAddress",
     "Compensation",
     "CompensationLaw",
+    "Condition",
     "Cycle",
     "Identity",
     "IdentityMatch",
@@ -24,6 +25,7 @@ __all__ = [
     "ModbusAddress",
     "Mode",
     "Parameter",
+    "Power",
     "Profile",
     "Step",
     "Store",
@@ -50,6 +52,11 @@ class CanopenAddress(_Strict):
     sub: Annotated[int, Field(ge=0, le=0xFF)] = 0
     type: _ScalarType
 
+    @property
+    def raw_range(self) -> tuple[int, int]:
+        """Smallest and largest raw value."""
+        return type_range(self.type)
+
     def __str__(self) -> str:
         return f"{self.index:04X}h:{self.sub:02X}"
 
@@ -57,22 +64,45 @@ class CanopenAddress(_Strict):
 class ModbusAddress(_Strict):
     """Holding registers, counted from 0 as on the wire.
 
-    `word_order` says which word of a wider value lies at the lower address.
+    `word_order` says which word of a wider value lies at the lower address. Where only some bits of a
+    register are the parameter, `bits` is their mask, and the raw value is what stands in them; they are
+    written by FC 22, or else read, changed and written back.
     """
 
     register_: Annotated[int, Field(ge=0, le=0xFFFF, alias="register")]
     type: _ScalarType
     word_order: Literal["high-first", "low-first"] = "high-first"
     read_function: Literal[3, 4] = 3
-    write_function: Literal[6, 16] = 16
+    write_function: Literal[6, 16, 22] = 16
+    bits: Annotated[int, Field(ge=1, le=0xFFFF)] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.count > 1 and self.write_function == 6:
+            raise ValueError(
+                f"write_function 6 writes one register; {self.type} takes {self.count}"
+            )
+        if self.bits is not None and self.type != "u16":
+            raise ValueError("bits: only of one register of type u16")
+        if (self.bits is None) and self.write_function == 22:
+            raise ValueError("write_function 22 writes bits: say which")
+        return self
 
     @property
     def count(self) -> int:
         """Number of 16-bit registers that the value takes."""
         return max(1, WIDTH_BITS[self.type] // 16)
 
+    @property
+    def raw_range(self) -> tuple[int, int]:
+        """Smallest and largest raw value."""
+        if self.bits is None:
+            return type_range(self.type)
+        return 0, self.bits // (self.bits & -self.bits)
+
     def __str__(self) -> str:
-        return f"register {self.register_:04X}h"
+        where = f"register {self.register_:04X}h"
+        return where if self.bits is None else f"{where} bits {self.bits:04X}h"
 
 
 Address = CanopenAddress | ModbusAddress
@@ -157,7 +187,7 @@ class Parameter(_Strict):
     def _check(self) -> Self:
         if self.scale == 0:
             raise ValueError("scale is 0: must be the value of one raw step")
-        low, high = type_range(self.address.type)
+        low, high = self.address.raw_range
         lo = low if self.minimum is None else self.minimum
         hi = high if self.maximum is None else self.maximum
         if lo > hi:
@@ -175,7 +205,7 @@ class Parameter(_Strict):
     @property
     def raw_range(self) -> tuple[int, int]:
         """Smallest and largest raw value that may be written."""
-        low, high = type_range(self.address.type)
+        low, high = self.address.raw_range
         return (
             low if self.minimum is None else self.minimum,
             high if self.maximum is None else self.maximum,
@@ -192,12 +222,14 @@ class IdentityMatch(_Strict):
     """What the drive must say about itself (object 1018h, or Modbus FC 43/14).
 
     A profile without any of these matches every drive of its bus and is used only when asked for
-    by name.
+    by name. `asked` false: the drive does not know FC 43/14; who it is stands in the parameters
+    `product_code`, `revision_code` and `serial_number`, those that there are.
     """
 
     vendor: str | None = None
     product: str | None = None
     revisions: tuple[str, ...] = ()
+    asked: bool = True
 
     def accepts(self, identity: Identity) -> bool:
         """Whether `identity` is one of the drives that this profile is for."""
@@ -222,7 +254,13 @@ class Identity(_Strict):
     serial: str
 
     def __str__(self) -> str:
-        return f"{self.vendor} {self.product} rev {self.revision} serial {self.serial}"
+        named = (
+            ("", self.vendor),
+            ("", self.product),
+            ("rev ", self.revision),
+            ("serial ", self.serial),
+        )
+        return " ".join(f"{what}{text}" for what, text in named if text) or "does not say who it is"
 
 
 class LinkDefaults(_Strict):
@@ -268,13 +306,48 @@ class Step(_Strict):
         return self
 
 
+class Condition(_Strict):
+    """Bits of a parameter that read `equals`, or anything but `differs`."""
+
+    parameter: str
+    mask: int = -1
+    equals: int | None = None
+    differs: int | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.equals is None) == (self.differs is None):
+            raise ValueError("a condition has either equals or differs")
+        return self
+
+    def holds(self, raw: int) -> bool:
+        """Whether `raw` of the parameter fulfils it."""
+        if self.equals is not None:
+            return raw & self.mask == self.equals
+        return raw & self.mask != self.differs
+
+
+class Power(_Strict):
+    """How a drive without the CiA 402 state machine is energised, and how it says so.
+
+    Its energy is taken by the profile's `disable`. `fault` is watched in every cycle where its parameter
+    is in the cycle.
+    """
+
+    enable: Annotated[tuple[Step, ...], Field(min_length=1)]
+    enabled: Condition
+    fault: Condition | None = None
+    reset: tuple[Step, ...] = ()
+
+
 class ModeCode(_Strict):
     """How a mode is asked for: value for `mode_of_operation`, bit that says it is supported.
 
-    `before` is written before the mode is enabled and put back after the experiment.
+    `before` is written before the mode is enabled and put back after the experiment; it is all there is
+    where a drive has no `mode_of_operation`.
     """
 
-    code: int
+    code: int | None = None
     supported_bit: Annotated[int, Field(ge=0, le=31)] | None = None
     set_point: str
     before: tuple[Step, ...] = ()
@@ -283,13 +356,15 @@ class ModeCode(_Strict):
 class Cycle(_Strict):
     """What is exchanged every cycle.
 
-    Modbus: one block of registers is written and one read (FC 23, or FC 16 then FC 3).
+    Modbus: one block of registers is written and one read (FC 23, or FC 16 or 6, then FC 3). Up to `gap`
+    registers between two that are wanted are read along; further apart, each block is a transaction.
     CANopen: one RPDO out, SYNC, one TPDO in; each list is the PDO's mapping in order.
     """
 
     out: tuple[str, ...]
     in_: Annotated[tuple[str, ...], Field(alias="in")]
-    function: Literal["fc23", "fc16+3", "pdo"]
+    function: Literal["fc23", "fc16+3", "fc6+3", "pdo"]
+    gap: Annotated[int, Field(ge=0, le=100)] = 0
     rpdo: Annotated[int, Field(ge=1, le=4)] = 1
     tpdo: Annotated[int, Field(ge=1, le=4)] = 1
 
@@ -297,10 +372,11 @@ class Cycle(_Strict):
 class Watchdog(_Strict):
     """The drive-side watchdog of communication and how it is armed.
 
-    `parameter` takes the time-out; `kind` says what feeds it.
+    `parameter` takes the time-out; `kind` says what feeds it: the cyclic command, any
+    request, or a heartbeat.
     """
 
-    kind: Literal["cycle", "heartbeat", "none"]
+    kind: Literal["cycle", "traffic", "heartbeat", "none"]
     parameter: str | None = None
     timeout: Annotated[float, Field(gt=0)] = 0.05  # s
     node: Annotated[int, Field(ge=1, le=127)] = 127  # whose heartbeat it is: ours
@@ -437,7 +513,8 @@ class Profile(_Strict):
     sources: tuple[str, ...] = ()
     identity: IdentityMatch = IdentityMatch()
     link: LinkDefaults = LinkDefaults()
-    state_machine: Literal["cia402"] = "cia402"
+    state_machine: Literal["cia402", "procedure"] = "cia402"
+    power: Power | None = None
     parameters: dict[str, Parameter]
     cycle: Cycle
     modes: dict[Mode, tuple[ModeCode, ...]]  # the first one that the drive supports is taken
@@ -452,12 +529,13 @@ class Profile(_Strict):
     loops: LoopGains | None = None
 
     @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check_names(self) -> Self:
         known = set(self.parameters)
-        wanted = {
-            "controlword", "statusword", "mode_of_operation", "mode_display", "torque_target",
-            "position_actual",
-        }  # fmt: skip
+        if (self.state_machine == "procedure") != (self.power is not None):
+            raise ValueError("[power] belongs to state_machine 'procedure', and only to that")
+        wanted = {"torque_target", "position_actual"}
+        if self.state_machine == "cia402":
+            wanted |= {"controlword", "statusword", "mode_of_operation", "mode_display"}
         if missing := wanted - known:
             raise ValueError(f"[parameters] lacks {', '.join(sorted(missing))}")
         for where, name in self._references():
@@ -470,18 +548,30 @@ class Profile(_Strict):
                     raise ValueError(
                         f"[{where}] writes {step.raw} to '{step.write}', which takes {low}…{high}"
                     )
+        return self
+
+    @model_validator(mode="after")
+    def _check_bus(self) -> Self:
         kind = CanopenAddress if self.bus == "canopen" else ModbusAddress
         for name, parameter in self.parameters.items():
             if not isinstance(parameter.address, kind):
                 raise ValueError(
                     f"[parameters.{name}] has an address of another bus than '{self.bus}'"
                 )
+        status = "statusword" if self.power is None else self.power.enabled.parameter
+        for name in (status, "position_actual"):
+            if name not in self.cycle.in_:
+                raise ValueError(f"[cycle] in lacks '{name}', which every cycle must see")
         if (self.cycle.function == "pdo") != (self.bus == "canopen"):
             raise ValueError(
                 f"[cycle] function '{self.cycle.function}' does not fit bus '{self.bus}'"
             )
         if not self.modes.get(Mode.TORQUE):
             raise ValueError("[modes] lacks torque: without a torque command no relay test can run")
+        return self
+
+    @model_validator(mode="after")
+    def _check_protection(self) -> Self:
         for name in self.compensation.terms.values():
             if self.parameters[name].protection is not Protection.COMPENSATION:
                 raise ValueError(f"[parameters.{name}] must have protection 'compensation'")
@@ -498,6 +588,8 @@ class Profile(_Strict):
             ("disable", step) for step in self.disable
         ]
         found += [("store", step) for step in (self.store.steps if self.store else ())]
+        if self.power is not None:
+            found += [("power", step) for step in (*self.power.enable, *self.power.reset)]
         for mode, codes in self.modes.items():
             found += [(f"modes.{mode}", step) for code in codes for step in code.before]
         return found
@@ -512,6 +604,13 @@ class Profile(_Strict):
             found += [("loops", name) for name in self.loops.terms.values()]
             found += [("loops", self.loops.lag)] if self.loops.lag else []
         found += [(where, step.write or step.until or "") for where, step in self._steps()]
+        if self.power is not None:
+            conditions = (self.power.enabled, self.power.fault)
+            found += [("power", condition.parameter) for condition in conditions if condition]
+        for mode, codes in self.modes.items():
+            if any(code.code is not None for code in codes):
+                found.append((f"modes.{mode}", "mode_of_operation"))
+                found.append((f"modes.{mode}", "mode_display"))
         if self.watchdog.parameter:
             found.append(("watchdog", self.watchdog.parameter))
         if self.watchdog.reaction:

@@ -62,7 +62,7 @@ def list_axes(as_json: bool) -> None:
 @click.option("--socketcand", metavar="HOST:PORT", help="CANopen by the socketcand protocol.")
 @click.option("--slcan", type=click.Choice(["pty"]), help="CANopen by slcan on a pseudo-terminal.")
 @click.option(
-    "--profile", metavar="P", help="Behave by this drive's objects: its twin, on CANopen."
+    "--profile", metavar="P", help="Behave by this drive's objects or registers: its twin."
 )
 @click.option("--clock", type=click.Choice(["wall", "step"]), default="wall", show_default=True)
 @click.option(
@@ -101,9 +101,12 @@ def serve_axis(
         slcan_pty=slcan == "pty",
         twin_of=load_profile(profile) if profile else None,
     )
-    if profile and (endpoints.modbus_tcp or endpoints.modbus_rtu_tcp or endpoints.modbus_rtu_pty):
+    modbus = endpoints.modbus_tcp or endpoints.modbus_rtu_tcp or endpoints.modbus_rtu_pty
+    other = endpoints.socketcand or endpoints.slcan_pty
+    if endpoints.twin_of is not None and (modbus if endpoints.twin_of.bus == "canopen" else other):
         raise UsageError(
-            "--profile: twins are for CANopen so far: --socketcand HOST:PORT or --slcan pty"
+            f"profile '{endpoints.twin_of.name}' is for {endpoints.twin_of.bus}: its twin is served "
+            "there only"
         )
     if endpoints == Endpoints(twin_of=endpoints.twin_of):
         raise UsageError(

@@ -107,6 +107,11 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
     rated = drive.scaling.rated_torque * mechanics.effort_per_torque
     named = drive.profile.limits
     most = drive.read(named["torque"]) if "torque" in named else rated
+    if most <= 0:
+        raise PreflightRefused(
+            f"the drive's own torque limit ('{named.get('torque')}') is {most:g} {axis.effort_unit}: "
+            "nothing can be moved; set it in the drive first"
+        )
     torque = options.max_torque or axis.limits.torque or min(rated, most)
     fastest = drive.read(named["speed"]) if "speed" in named else None
     speed = options.max_speed or axis.limits.speed or fastest

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from drivers.drive import Exchange
 from drivers.modbus.client import Client, NoAnswer
 from drivers.modbus.registers import decode, encode
@@ -12,6 +14,7 @@ from profiles.schema import Address, Identity, ModbusAddress, Profile
 
 __all__ = ["ModbusBus", "identify"]
 
+_MOST_READ = 125  # registers in one answer (Modbus application protocol 6.3)
 MISSED_CYCLES = 3  # consecutive cycles without a sample are a lost link (safety, receive deadline)
 
 
@@ -48,12 +51,20 @@ class ModbusBus:
         self._profile = profile
         self._deadline = max(pace.cycle, profile.watchdog.deadline)
         self._idle: tuple[int, ...] = (0,) * len(profile.cycle.out)
-        self._out = _Block(profile, profile.cycle.out)
-        self._in = _Block(profile, profile.cycle.in_)
+        self._out = _written(profile)
+        self._in = _read_blocks(profile)
+        position = _modbus(profile.parameters["position_actual"].address)
+        self._at_position = next(at for at, block in enumerate(self._in) if block.holds(position))
+        self._words: dict[int, int] = {}  # registers of which only bits are ours, as last seen
         self._before: tuple[tuple[int, ...], float] | None = None  # command in force, when it left
+        self._write_function = 6 if profile.cycle.function == "fc6+3" else 16
         self._one_transaction = profile.cycle.function == "fc23"
         if pace.stepping:
-            set_simulation(self.write, profile, "simulation_cycle", pace.cycle)
+            set_simulation(self.write, profile, "simulation_cycle", pace.cycle, self._is_twin)
+
+    def _is_twin(self) -> bool:
+        """Whether the drive says that it is a virtual one in another one's clothes."""
+        return any(text.startswith("twin of ") for text in self._client.identification().values())
 
     def identify(self) -> Identity:
         """Ask the drive who it is."""
@@ -63,22 +74,39 @@ class ModbusBus:
         """Raw value; raises LinkError, AccessDenied."""
         at = _modbus(address)
         try:
-            return decode(at, self._client.read(at.read_function, at.register_, at.count))
+            words = self._client.read(at.read_function, at.register_, at.count)
         except AccessDenied as error:
             raise AccessDenied(f"{at}: {error}") from None
+        if at.bits is not None:
+            self._words[at.register_] = words[0]
+        return decode(at, words)
 
     def write(self, address: Address, raw: int) -> None:
         """Write a raw value; raises LinkError, AccessDenied."""
         at = _modbus(address)
         try:
-            self._client.write(at.write_function, at.register_, encode(at, raw))
+            if at.bits is not None and at.write_function != 22:
+                self.read(at)  # the bits that are not ours stay as they are
+            self._put(at, raw, self._client.write)
         except AccessDenied as error:
             raise AccessDenied(f"{at}: {error}") from None
 
     def post(self, address: Address, raw: int) -> None:
-        """Send a write; no answer is waited for."""
-        at = _modbus(address)
-        self._client.post(at.write_function, at.register_, encode(at, raw))
+        """Send a write; no answer is waited for. Bits go into the register as it was last seen."""
+        self._put(_modbus(address), raw, self._client.post)
+
+    def _put(
+        self, at: ModbusAddress, raw: int, send: Callable[[int, int, list[int]], None]
+    ) -> None:
+        words = encode(at, raw)
+        if at.bits is None:
+            send(at.write_function, at.register_, words)
+        elif at.write_function == 22:
+            send(22, at.register_, [0xFFFF & ~at.bits, words[0]])
+        else:
+            words[0] |= self._words.get(at.register_, 0) & ~at.bits
+            send(at.write_function, at.register_, words)
+            self._words[at.register_] = words[0]
 
     def start(self, idle: tuple[int, ...]) -> None:
         """The cycle begins with the first exchange; until then `idle` is in force."""
@@ -94,7 +122,7 @@ class ModbusBus:
             lateness = pace.next_deadline()
             sent = pace.now() - (pace.cycle if pace.stepping else 0.0)
             try:
-                answer = self._transact(words)
+                answer, latched = self._transact(words)
             except NoAnswer as error:
                 missed += 1
                 if missed >= MISSED_CYCLES:
@@ -103,27 +131,40 @@ class ModbusBus:
                         f"lost ({error})"
                     ) from None
                 continue
-            received = pace.now()
-            feedback = self._in.decode(answer)
             if pace.stepping:
-                return Exchange(feedback, values, sent, received, lateness, missed)
+                return Exchange(answer, values, sent, pace.now(), lateness, missed)
             # in real time the drive latches the position right after it took the command, so that
             # what acted until then is the command before; most likely it was midway
             in_force, left = self._before or (self._idle, sent - pace.cycle)
             self._before = (values, sent)
-            return Exchange(feedback, in_force, left, 0.5 * (sent + received), lateness, missed)
+            return Exchange(answer, in_force, left, latched, lateness, missed)
 
-    def _transact(self, words: list[int]) -> list[int]:
-        client, out, into = self._client, self._out, self._in
-        if self._one_transaction:
-            return client.read_write(into.start, into.count, out.start, words, self._deadline)
-        client.write(16, out.start, words, self._deadline)
-        return client.read(3, into.start, into.count, self._deadline)
+    def _transact(self, words: list[int]) -> tuple[tuple[int, ...], float]:
+        """One exchange, in as many transactions as it takes; with the middle of the position's, s."""
+        client, out, now = self._client, self._out, self._pace.now
+        values: tuple[int, ...] = ()
+        begun, latched = now(), 0.0
+        if not self._one_transaction:
+            client.write(self._write_function, out.start, words, self._deadline)
+            begun = now()
+        for at, block in enumerate(self._in):
+            if at == 0 and self._one_transaction:
+                answer = client.read_write(
+                    block.start, block.count, out.start, words, self._deadline
+                )
+            else:
+                answer = client.read(3, block.start, block.count, self._deadline)
+            ended = now()
+            if at == self._at_position:
+                latched = 0.5 * (begun + ended)
+            begun = ended
+            values += block.decode(answer)
+        return values, latched
 
     def wait(self, seconds: float) -> None:
         """Let time pass; on a stepping drive, by asking it to."""
         if self._pace.stepping:
-            set_simulation(self.write, self._profile, "simulation_advance", seconds)
+            set_simulation(self.write, self._profile, "simulation_advance", seconds, self._is_twin)
         self._pace.pass_time(seconds)
 
     def other_master(self) -> str:
@@ -140,22 +181,18 @@ class ModbusBus:
 
 
 class _Block:
-    """Parameters that lie one after the other and are exchanged as one block of registers."""
+    """Parameters that are exchanged as one block of registers; what lies between them is read along."""
 
-    def __init__(self, profile: Profile, names: tuple[str, ...]) -> None:
-        addresses = [_modbus(profile.parameters[name].address) for name in names]
+    def __init__(self, addresses: list[ModbusAddress]) -> None:
         self.start = addresses[0].register_
-        self._spans: list[tuple[ModbusAddress, int, int]] = []
-        at = self.start
-        for name, address in zip(names, addresses, strict=True):
-            if address.register_ != at:
-                raise ProfileError(
-                    f"profile '{profile.name}': [cycle] '{name}' is at {address}, where register "
-                    f"{at:04X}h must follow: a block has no gaps"
-                )
-            self._spans.append((address, at - self.start, at - self.start + address.count))
-            at += address.count
-        self.count = at - self.start
+        self.count = addresses[-1].register_ + addresses[-1].count - self.start
+        self._spans = [
+            (at, at.register_ - self.start, at.register_ - self.start + at.count)
+            for at in addresses
+        ]
+
+    def holds(self, address: ModbusAddress) -> bool:
+        return any(at == address for at, _, _ in self._spans)
 
     def encode(self, values: tuple[int, ...]) -> list[int]:
         words: list[int] = []
@@ -165,6 +202,43 @@ class _Block:
 
     def decode(self, words: list[int]) -> tuple[int, ...]:
         return tuple(decode(address, words[a:b]) for address, a, b in self._spans)
+
+
+def _written(profile: Profile) -> _Block:
+    """What is written in a cycle: one block without gaps, and one register where that is all FC 6 can."""
+    names = profile.cycle.out
+    addresses = [_modbus(profile.parameters[name].address) for name in names]
+    for name, before, at in zip(names[1:], addresses, addresses[1:], strict=False):
+        follows = before.register_ + before.count
+        if at.register_ != follows:
+            raise ProfileError(
+                f"profile '{profile.name}': [cycle] '{name}' is at {at}, where register {follows:04X}h "
+                "must follow: a block that is written has no gaps"
+            )
+    block = _Block(addresses)
+    if profile.cycle.function == "fc6+3" and block.count > 1:
+        raise ProfileError(
+            f"profile '{profile.name}': [cycle] fc6+3 writes one register, and out has {block.count}"
+        )
+    return block
+
+
+def _read_blocks(profile: Profile) -> list[_Block]:
+    """What is read in a cycle, in the order of `in`: a new block where the next one is too far away."""
+    blocks: list[list[ModbusAddress]] = []
+    for name in profile.cycle.in_:
+        at = _modbus(profile.parameters[name].address)
+        if blocks:
+            last = blocks[-1][-1]
+            gap = at.register_ - last.register_ - last.count
+            if (
+                0 <= gap <= profile.cycle.gap
+                and at.register_ + at.count - blocks[-1][0].register_ <= _MOST_READ
+            ):
+                blocks[-1].append(at)
+                continue
+        blocks.append([at])
+    return [_Block(block) for block in blocks]
 
 
 def _modbus(address: Address) -> ModbusAddress:

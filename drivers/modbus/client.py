@@ -170,8 +170,14 @@ class Client:
     def write(
         self, function: int, address: int, words: list[int], timeout: float | None = None
     ) -> None:
-        """Registers by FC 6 or 16."""
-        if function == 6 and len(words) == 1:
+        """Registers by FC 6 or 16; by FC 22 `words` are the AND and the OR mask of one register."""
+        if function == 22:
+            keep, put = words
+            self._ask(
+                self._client.mask_write_register, timeout,
+                address=address, and_mask=keep, or_mask=put,
+            )  # fmt: skip
+        elif function == 6 and len(words) == 1:
             self._ask(self._client.write_register, timeout, address=address, value=words[0])
         else:
             self._ask(self._client.write_registers, timeout, address=address, values=words)

@@ -14,7 +14,15 @@ _CODE = {
 
 
 def encode(address: ModbusAddress, raw: int) -> list[int]:
-    """Registers for `raw`, lowest address first; raises ValueError out of the type's range."""
+    """Registers for `raw`, lowest address first; raises ValueError out of the type's range.
+
+    Of a parameter that is some bits of a register: those bits, the others zero.
+    """
+    if address.bits is not None:
+        low, high = address.raw_range
+        if not low <= raw <= high:
+            raise ValueError(f"{raw} does not fit {address}")
+        return [raw * (address.bits & -address.bits)]
     code = _CODE[address.type]
     if address.type in ("i8", "u8"):
         code = "h" if code == "b" else "H"
@@ -28,6 +36,8 @@ def encode(address: ModbusAddress, raw: int) -> list[int]:
 
 def decode(address: ModbusAddress, words: list[int]) -> int:
     """Raw value of registers, lowest address first."""
+    if address.bits is not None:
+        return (words[0] & address.bits) // (address.bits & -address.bits)
     ordered = words if address.word_order == "high-first" else words[::-1]
     code = _CODE[address.type]
     if address.type in ("i8", "u8"):

@@ -11,13 +11,14 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from drivers.virtual.device import Device
-from drivers.virtual.dictionary import OWN, Dictionary, Entry
+from drivers.virtual.dictionary import OWN, Dictionary
 from drivers.virtual.firmware import (
     ERROR_HEARTBEAT,
     ERROR_PDO_TIMEOUT,
     Denied,
     Reason,
 )
+from drivers.virtual.mirror import Entry, Mirror
 
 __all__ = ["CanopenNode", "Frame"]
 
@@ -61,12 +62,6 @@ _DENIALS = {
 }
 
 
-_LIMITS = {
-    code: (-(1 << bits - 1), (1 << bits - 1) - 1) if code.islower() else (0, (1 << bits) - 1)
-    for code, bits in {"b": 8, "B": 8, "h": 16, "H": 16, "i": 32, "I": 32, "q": 64, "Q": 64}.items()
-}
-
-
 @dataclass
 class _Pdo:
     """Communication and mapping parameters of one PDO."""
@@ -107,7 +102,7 @@ class CanopenNode:
     def __init__(self, device: Device, node_id: int, dictionary: Dictionary = OWN) -> None:
         self.device = device
         self._dictionary = dictionary
-        self._kept: dict[Entry, int] = {}  # of objects that do nothing
+        self._mirror = Mirror(device)
         self.node_id = node_id
         self.state = _PRE_OPERATIONAL
         self._producer = 0  # ms, object 1017h
@@ -231,7 +226,7 @@ class CanopenNode:
             value = struct.unpack("<" + entry.code, data[:length])[0]
             data = data[length:]
             try:
-                self._set(entry, value)
+                self._mirror.set(entry, value)
             except Denied:
                 self._emergency(0x8220)
 
@@ -254,7 +249,7 @@ class CanopenNode:
     def _send_tpdo(self, pdo: _Pdo) -> None:
         pdo.since = self.device.firmware.now
         data = b"".join(
-            struct.pack("<" + entry.code, self._value(entry))
+            struct.pack("<" + entry.code, self._mirror.value(entry))
             for entry, _ in pdo.mapped(self._dictionary)
         )
         self._send(pdo.cob_id & 0x7FF, data)
@@ -331,20 +326,6 @@ class CanopenNode:
         self._answer(bytes((0x20 | self._toggle << 4,)))
         self._toggle ^= 1
 
-    def _value(self, entry: Entry) -> int:
-        """Object value: as the firmware has it, in the object's own steps; raises Denied."""
-        if not entry.keys:
-            return self._kept.get(entry, entry.default)
-        low, high = _LIMITS[entry.code]
-        return max(low, min(high, round(self.device.read(entry.keys[0]) / entry.factor)))
-
-    def _set(self, entry: Entry, value: int) -> None:
-        """Write an object value to all that it mirrors; raises Denied."""
-        if not entry.keys:
-            self._kept[entry] = value
-        for key in entry.keys:
-            self.device.write(key, round(value * entry.factor))
-
     # -- object dictionary ---------------------------------------------------------------------------
 
     def _read(self, index: int, sub: int) -> bytes:
@@ -353,7 +334,7 @@ class CanopenNode:
             if entry.access == "wo":
                 raise _Abort(_ABORT_WRITE_ONLY)
             try:
-                value = self._value(entry)
+                value = self._mirror.value(entry)
             except Denied as denied:
                 raise _Abort(_DENIALS[denied.reason]) from None
             return struct.pack("<" + entry.code, value)
@@ -394,7 +375,7 @@ class CanopenNode:
                 raise _Abort(_ABORT_READ_ONLY)
             value = self._number(data, entry.code, sized=sized)
             try:
-                self._set(entry, value)
+                self._mirror.set(entry, value)
             except Denied as denied:
                 raise _Abort(_DENIALS[denied.reason]) from None
             return

@@ -3,26 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
-__all__ = ["OWN", "Dictionary", "Entry"]
+from drivers.virtual.mirror import Entry
+
+__all__ = ["OWN", "SIMULATION", "Dictionary"]
 
 VENDOR = 0x00007457
 PRODUCT = 0x00000001
 REVISION = 0x00010000
-
-
-class Entry(NamedTuple):
-    """Object that mirrors firmware values: object value times `factor` is the firmware's.
-
-    `keys`: every one is written, the first is read; none: the object keeps a value and does nothing.
-    """
-
-    keys: tuple[str, ...]
-    code: str
-    access: str = "rw"
-    factor: float = 1.0
-    default: int = 0
 
 
 @dataclass(frozen=True)

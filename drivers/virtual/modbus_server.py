@@ -11,8 +11,7 @@ from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from drivers.virtual.firmware import Denied, Reason
-from drivers.virtual.modbus_identity import PRODUCT, REVISION, VENDOR
-from drivers.virtual.registers import FIRST, LAST, RegisterMap
+from drivers.virtual.registers import RegisterMap
 
 __all__ = ["start_modbus_tcp"]
 
@@ -42,6 +41,8 @@ async def start_modbus_tcp(
         """The server refuses a unit that it does not have; a drive on a line says nothing at all."""
         return b"" if sending and len(data) > at and data[at] not in ours else data
 
+    known = registers.layout.functions
+
     async def access(
         function: int,
         start: int,
@@ -50,6 +51,8 @@ async def start_modbus_tcp(
         memory: list[int],
         values: list[int] | list[bool] | None,
     ) -> ExcCodes | None:
+        if function not in known:
+            return ExcCodes.ILLEGAL_FUNCTION
         try:
             if values is not None:
                 registers.write(address, [int(word) for word in values])
@@ -59,14 +62,12 @@ async def start_modbus_tcp(
             return _CODES[error.reason]
         return None
 
+    names = ("VendorName", "ProductCode", "MajorMinorRevision")
     identity = ModbusDeviceIdentification(  # type: ignore[no-untyped-call]
-        info_name={
-            "VendorName": VENDOR,
-            "ProductCode": PRODUCT,
-            "MajorMinorRevision": REVISION,
-        }
+        info_name=dict(zip(names, registers.layout.identity, strict=True))
     )
-    memory = SimData(FIRST, values=[0] * (LAST + 1 - FIRST), datatype=DataType.REGISTERS)
+    first, end = registers.layout.span
+    memory = SimData(first, values=[0] * (end - first), datatype=DataType.REGISTERS)
     server = ModbusTcpServer(
         SimDevice(unit, simdata=[memory], action=access),
         framer=FramerType.RTU if rtu else FramerType.SOCKET,

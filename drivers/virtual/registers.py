@@ -1,18 +1,24 @@
-"""Register map of the virtual Modbus drive: 16-bit words on one side, objects on the other.
+"""Registers of a virtual Modbus drive: 16-bit words on one side, objects on the other.
 
-32-bit values take two registers, high word at the lower address, and are read and written whole.
+A value of more than 16 bits takes several registers, which are read and written whole.
 """
 
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass, field
 
 from drivers.virtual.device import Device
 from drivers.virtual.firmware import Denied, Reason
+from drivers.virtual.mirror import Entry, Mirror
+from drivers.virtual.modbus_identity import PRODUCT, REVISION, VENDOR
+from drivers.virtual.switchgear import Switchgear
 
-__all__ = ["FIRST", "LAST", "MAP", "RegisterMap"]
+__all__ = ["CLOCK", "OWN", "Layout", "RegisterMap"]
 
-MAP: dict[int, tuple[str, str]] = {
+CLOCK = 0xFF00  # from here on a twin has registers of its own
+
+_OWN: dict[int, tuple[str, str]] = {
     0x0100: ("torque_target", "h"),
     0x0101: ("position_target", "i"),
     0x0110: ("controlword", "H"),
@@ -50,64 +56,138 @@ MAP: dict[int, tuple[str, str]] = {
     0x0510: ("simulation_cycle", "I"),
     0x0512: ("simulation_advance", "I"),
 }
-FIRST = min(MAP)
-LAST = max(MAP) + 1
 
-_WRITE_ONLY = {"store_command"}
+
+@dataclass(frozen=True)
+class Layout:
+    """Which object lies in which register.
+
+    `bits`: registers that are made of several objects, each with its mask. `low_first`: registers at which a
+    value begins with its low word. `filled`: registers that nobody needs, and that read 0.
+    `position`: the register whose reading completes a cycle. `functions`: those that the drive knows.
+    `identity`: vendor, product, revision by FC 43/14. `traffic_feeds`: any request feeds the watchdog.
+    """
+
+    registers: dict[int, Entry]
+    position: int
+    bits: dict[int, tuple[tuple[Entry, int], ...]] = field(default_factory=dict)
+    low_first: frozenset[int] = frozenset()
+    filled: frozenset[int] = frozenset()
+    functions: frozenset[int] = frozenset({3, 4, 6, 16, 22, 23})
+    identity: tuple[str, str, str] = (VENDOR, PRODUCT, REVISION)
+    traffic_feeds: bool = False
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """First register, and the one after the last."""
+        every = {*self.registers, *self.bits, *self.filled}
+        return min(every), max(every) + 4
+
+
+OWN = Layout(
+    {
+        at: Entry((key,), code, "wo" if key == "store_command" else "rw")
+        for at, (key, code) in _OWN.items()
+    },
+    position=0x0202,
+)
 
 
 class RegisterMap:
     """Words in, words out."""
 
-    def __init__(self, device: Device) -> None:
+    def __init__(
+        self,
+        device: Device,
+        layout: Layout = OWN,
+        switchgear: Switchgear | None = None,
+        *,
+        keeps: bool = False,
+    ) -> None:
         self.device = device
+        self.layout = layout
+        self._mirror = Mirror(device, switchgear, keeps=keeps)
+        self._other: dict[int, int] = {}  # bits of registers that are no object's
         self._command_pending = False
 
     def read(self, start: int, count: int) -> list[int]:
         """`count` registers from `start`; raises Denied.
 
-        The read that follows a write of the set-points completes a cyclic exchange.
+        The read of the position that follows a write of the set-point completes a cyclic exchange.
         """
-        device = self.device
+        device, layout = self.device, self.layout
         device.catch_up()
-        if self._command_pending and start <= 0x0202 < start + count:
+        if self._command_pending and start <= layout.position < start + count:
             self._command_pending = False
             device.end_cycle()
+        if layout.traffic_feeds:
+            device.firmware.feed_watchdog()
         words: list[int] = []
         end = start + count
         while start < end:
-            key, code = self._entry(start)
-            if key in _WRITE_ONLY:
+            found = self._words(start)
+            if len(found) > end - start:
                 raise Denied(Reason.NO_OBJECT)
-            packed = struct.pack(f">{code}", device.read(key))
-            if len(packed) // 2 > end - start:
-                raise Denied(Reason.NO_OBJECT)
-            words += struct.unpack(f">{len(packed) // 2}H", packed)
-            start += len(packed) // 2
+            words += found
+            start += len(found)
         return words
+
+    def _words(self, start: int) -> list[int]:
+        layout = self.layout
+        fields = layout.bits.get(start)
+        if fields is not None:
+            word = self._other.get(start, 0)
+            for part, mask in fields:
+                word |= self._mirror.value(part) * (mask & -mask)
+            return [word]
+        entry = self._entry(start)
+        if entry is None:
+            return [0]
+        if entry.access == "wo":
+            raise Denied(Reason.NO_OBJECT)
+        packed = struct.pack(f">{entry.code}", self._mirror.value(entry))
+        words = list(struct.unpack(f">{len(packed) // 2}H", packed))
+        return words[::-1] if start in layout.low_first else words
 
     def write(self, start: int, words: list[int]) -> None:
         """Write `words` from `start`, all checked before the first is taken; raises Denied."""
         self.device.catch_up()
-        writes: list[tuple[str, int]] = []
+        if self.layout.traffic_feeds and start < CLOCK:
+            self.device.firmware.feed_watchdog()
+        writes: list[tuple[Entry, int]] = []
         left = words
         while left:
-            key, code = self._entry(start)
-            width = struct.calcsize(code) // 2
+            if start in self.layout.bits:
+                writes += self._fields(start, left[0])
+                start, left = start + 1, left[1:]
+                continue
+            entry = self._entry(start)
+            if entry is None or entry.access == "ro":
+                raise Denied(Reason.READ_ONLY)
+            width = struct.calcsize(entry.code) // 2
             if width > len(left):
                 raise Denied(Reason.NO_OBJECT)
-            packed = struct.pack(f">{width}H", *left[:width])
-            writes.append((key, struct.unpack(f">{code}", packed)[0]))
+            ordered = left[:width][::-1] if start in self.layout.low_first else left[:width]
+            packed = struct.pack(f">{width}H", *ordered)
+            writes.append((entry, struct.unpack(f">{entry.code}", packed)[0]))
             start, left = start + width, left[width:]
-        for key, value in writes:
-            self.device.write(key, value)
-        if writes[0][0] == "torque_target":
+        for entry, value in writes:
+            self._mirror.set(entry, value)
+        if writes and "torque_target" in writes[0][0].keys:
             self._command_pending = True
             self.device.firmware.feed_watchdog()
 
-    @staticmethod
-    def _entry(start: int) -> tuple[str, str]:
-        try:
-            return MAP[start]
-        except KeyError:
-            raise Denied(Reason.NO_OBJECT) from None
+    def _fields(self, start: int, word: int) -> list[tuple[Entry, int]]:
+        found = []
+        for entry, mask in self.layout.bits[start]:
+            found.append((entry, (word & mask) // (mask & -mask)))
+            word &= ~mask
+        self._other[start] = word
+        return found
+
+    def _entry(self, start: int) -> Entry | None:
+        """Object that begins there; None where a register reads 0; raises Denied."""
+        entry = self.layout.registers.get(start)
+        if entry is None and start not in self.layout.filled:
+            raise Denied(Reason.NO_OBJECT)
+        return entry

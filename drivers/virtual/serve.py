@@ -7,6 +7,7 @@ import contextlib
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from drivers.virtual.axes import VirtualAxis
@@ -15,6 +16,9 @@ from drivers.virtual.firmware import Firmware
 from drivers.virtual.memory import Memory
 from profiles.errors import UsageError
 from profiles.schema import Profile
+
+if TYPE_CHECKING:
+    from drivers.virtual.registers import RegisterMap
 
 __all__ = ["Endpoints", "serve"]
 
@@ -33,7 +37,7 @@ class Endpoints:
     modbus_rtu_pty: bool = False
     socketcand: tuple[str, int] | None = None
     slcan_pty: bool = False
-    twin_of: Profile | None = None  # of another drive, on CANopen
+    twin_of: Profile | None = None  # of another drive, on its own bus
 
 
 def serve(
@@ -71,15 +75,26 @@ async def _serve(
     for number in (signal.SIGINT, signal.SIGTERM):
         with contextlib.suppress(NotImplementedError):  # Windows: KeyboardInterrupt does it
             loop.add_signal_handler(number, stop, int(number))
+
+    def registers() -> RegisterMap:
+        from drivers.virtual.registers import RegisterMap
+        from drivers.virtual.twin import modbus_twin
+
+        twin_of = endpoints.twin_of
+        return RegisterMap(device) if twin_of is None else modbus_twin(twin_of, device)
+
     async with contextlib.AsyncExitStack() as stack:
         poll: Callable[[], None] = device.catch_up
         try:
             if endpoints.modbus_tcp is not None:
-                announce(await _modbus(stack, device, endpoints.modbus_tcp) + suffix)
+                announce(await _modbus(stack, registers(), endpoints.modbus_tcp) + suffix)
             if endpoints.modbus_rtu_tcp is not None:
-                announce(await _modbus(stack, device, endpoints.modbus_rtu_tcp, rtu=True) + suffix)
+                place = endpoints.modbus_rtu_tcp
+                announce(await _modbus(stack, registers(), place, rtu=True) + suffix)
             if endpoints.modbus_rtu_pty:
-                announce(await _serial(stack, device) + suffix)
+                of = endpoints.twin_of
+                baudrate = (of and of.link.baudrate) or BAUDRATE
+                announce(await _serial(stack, registers(), baudrate) + suffix)
             if endpoints.socketcand is not None or endpoints.slcan_pty:
                 poll, links = await _canopen(stack, device, endpoints)
                 for link in links:
@@ -101,23 +116,21 @@ async def _serve(
 
 async def _modbus(
     stack: contextlib.AsyncExitStack,
-    device: Device,
+    registers: RegisterMap,
     place: tuple[str, int],
     *,
     rtu: bool = False,
 ) -> str:
     from drivers.virtual.modbus_server import start_modbus_tcp
-    from drivers.virtual.registers import RegisterMap
 
-    server, port = await start_modbus_tcp(RegisterMap(device), *place, UNIT, rtu=rtu)
+    server, port = await start_modbus_tcp(registers, *place, UNIT, rtu=rtu)
     stack.push_async_callback(server.shutdown)
     scheme = "modbus-rtu-tcp" if rtu else "modbus-tcp"
     return f"{scheme}://{_host(place[0])}:{port}?unit={UNIT}"
 
 
-async def _serial(stack: contextlib.AsyncExitStack, device: Device) -> str:
+async def _serial(stack: contextlib.AsyncExitStack, registers: RegisterMap, baudrate: int) -> str:
     from drivers.virtual.modbus_server import start_modbus_tcp
-    from drivers.virtual.registers import RegisterMap
 
     try:
         from drivers.virtual.rtu_pty import RtuPty
@@ -125,11 +138,11 @@ async def _serial(stack: contextlib.AsyncExitStack, device: Device) -> str:
         line = RtuPty()
     except ImportError:
         raise UsageError("this system has no pseudo-terminals: use --modbus-rtu-tcp") from None
-    server, port = await start_modbus_tcp(RegisterMap(device), "127.0.0.1", 0, UNIT, rtu=True)
+    server, port = await start_modbus_tcp(registers, "127.0.0.1", 0, UNIT, rtu=True)
     stack.push_async_callback(server.shutdown)
     await line.join(port)
     stack.push_async_callback(line.close)
-    return f"modbus-rtu://{line.path}?baudrate={BAUDRATE}&unit={UNIT}"
+    return f"modbus-rtu://{line.path}?baudrate={baudrate}&unit={UNIT}"
 
 
 async def _canopen(

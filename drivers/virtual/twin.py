@@ -1,18 +1,24 @@
-"""A drive that behaves by another drive's map: its twin on CANopen.
+"""A drive that behaves by another drive's map: its twin.
 
-The objects, their types and units are the profile's; what they do is the virtual firmware's. A twin cannot
-show that its profile is wrong: it is to rehearse on, and to try every profile from end to end.
+The objects or registers, their types and units are the profile's; what they do is the virtual firmware's.
+A twin cannot show that its profile is wrong: it is to rehearse on, and to try every profile from end to end.
 """
 
 from __future__ import annotations
 
-from drivers.virtual.axes import VirtualAxis
-from drivers.virtual.dictionary import SIMULATION, Dictionary, Entry
-from drivers.virtual.objects import MODES
-from profiles.errors import UsageError
-from profiles.schema import CanopenAddress, CompensationLaw, Parameter, Profile, Unit
+from itertools import pairwise
 
-__all__ = ["twin"]
+from drivers.virtual.axes import VirtualAxis
+from drivers.virtual.device import Device
+from drivers.virtual.dictionary import SIMULATION, Dictionary
+from drivers.virtual.mirror import Entry
+from drivers.virtual.objects import MODES
+from drivers.virtual.registers import CLOCK, Layout, RegisterMap
+from drivers.virtual.switchgear import Switchgear
+from profiles.errors import UsageError
+from profiles.schema import CanopenAddress, CompensationLaw, ModbusAddress, Parameter, Profile, Unit
+
+__all__ = ["modbus_twin", "twin"]
 
 _TURN = 6.283185307179586  # rad
 _CODES = {
@@ -32,11 +38,16 @@ _FIRMWARE: dict[str, tuple[Unit, float]] = {
     "coulomb_positive": (Unit.RATED_TORQUE, 1e-3), "coulomb_negative": (Unit.RATED_TORQUE, 1e-3),
     "viscous_gain": (Unit.RATED_TORQUE_PER_SPEED, 1e-5), "coulomb_speed": (Unit.RPM, 0.1),
     "velocity_gain": (Unit.RATED_TORQUE_PER_SPEED, 1e-6), "integral_time": (Unit.SECOND, 1e-6),
-    "position_gain": (Unit.PER_SECOND, 0.01),
+    "position_gain": (Unit.PER_SECOND, 0.01), "watchdog_time": (Unit.SECOND, 1e-3),
+    "serial": (Unit.NONE, 1.0), "store_command": (Unit.NONE, 1.0),
 }  # fmt: skip
 # a profile's own name for it, where it is another one
-_NAMES = {"mode_of_operation": "mode"}
+_NAMES = {"mode_of_operation": "mode", "serial_number": "serial"}
 _ELSEWHERE = {0x1010, 0x1016, 0x1018}  # communication objects, which the node itself has
+_CLOCK = {
+    CLOCK: Entry(("simulation_cycle",), "I"),
+    CLOCK + 2: Entry(("simulation_advance",), "I"),
+}
 RATED_CURRENT = 2.0  # A, of every virtual motor
 
 
@@ -47,7 +58,7 @@ def twin(profile: Profile, axis: VirtualAxis) -> Dictionary:
             f"profile '{profile.name}' is for {profile.bus}: its twin is no CANopen node"
         )
     objects: dict[tuple[int, int], Entry] = dict(SIMULATION)
-    compensation = _compensation(profile)
+    behind = _behind(profile)
     indices = set()
     for name, parameter in profile.parameters.items():
         address = parameter.address
@@ -55,8 +66,8 @@ def twin(profile: Profile, axis: VirtualAxis) -> Dictionary:
         indices.add(address.index)
         if address.index in _ELSEWHERE:
             continue
-        keys = compensation.get(name) or (_NAMES.get(name, name),)
-        objects[address.index, address.sub] = _entry(name, keys, parameter, address, axis)
+        keys = behind.get(name) or (_NAMES.get(name, name),)
+        objects[address.index, address.sub] = _entry(name, keys, profile, axis)
     identity = tuple(_number(text) for text in (profile.identity.vendor, profile.identity.product))
     revision = profile.identity.revisions[0] if profile.identity.revisions else "0x00010000"
     return Dictionary(
@@ -67,8 +78,80 @@ def twin(profile: Profile, axis: VirtualAxis) -> Dictionary:
     )
 
 
+def modbus_twin(profile: Profile, device: Device) -> RegisterMap:
+    """The registers of the drive that `profile` is for, in front of `device`; raises UsageError."""
+    if profile.bus != "modbus":
+        raise UsageError(
+            f"profile '{profile.name}' is for {profile.bus}: its twin has no registers"
+        )
+    axis = device.firmware.axis
+    switchgear = None
+    if profile.power is not None:
+        switchgear = Switchgear(device, profile, profile.power)
+    behind = _behind(profile)
+    registers = dict(_CLOCK)
+    bits: dict[int, tuple[tuple[Entry, int], ...]] = {}
+    low_first: set[int] = set()
+    for name, parameter in profile.parameters.items():
+        at = _modbus(parameter)
+        keys = behind.get(name) or (_NAMES.get(name, name),)
+        entry = _entry(name, keys, profile, axis)
+        if name == "product_code":
+            entry = Entry((), entry.code, "ro", 1.0, _number(profile.identity.product), name)
+        if at.bits is not None:
+            bits[at.register_] = (*bits.get(at.register_, ()), (entry, at.bits))
+            continue
+        registers.setdefault(at.register_, entry)
+        if at.word_order == "low-first":
+            low_first.add(at.register_)
+    functions = {3, 6, 16} | {_modbus(p).write_function for p in profile.parameters.values()}
+    functions |= {_modbus(p).read_function for p in profile.parameters.values()}
+    functions |= {23} if profile.cycle.function == "fc23" else set()
+    who = profile.identity
+    name = f"twin of {profile.name}"
+    layout = Layout(
+        registers,
+        _modbus(profile.parameters["position_actual"]).register_,
+        bits,
+        frozenset(low_first),
+        _between(profile),
+        frozenset(functions),
+        (
+            who.vendor or "tworelay",
+            who.product or name,
+            who.revisions[0] if who.revisions else name,
+        ),
+        profile.watchdog.kind == "traffic",
+    )
+    keeps = profile.store is not None and not profile.store.steps
+    return RegisterMap(device, layout, switchgear, keeps=keeps)
+
+
+def _modbus(parameter: Parameter) -> ModbusAddress:
+    assert isinstance(parameter.address, ModbusAddress)
+    return parameter.address
+
+
+def _between(profile: Profile) -> frozenset[int]:
+    """Registers that are read along with the cycle."""
+    taken = [_modbus(profile.parameters[name]) for name in profile.cycle.in_]
+    return frozenset(
+        register
+        for before, after in pairwise(taken)
+        if 0 <= after.register_ - before.register_ - before.count <= profile.cycle.gap
+        for register in range(before.register_ + before.count, after.register_)
+    )
+
+
+def _behind(profile: Profile) -> dict[str, tuple[str, ...]]:
+    """Firmware values behind the parameters of the compensation law, the limits and the watchdog."""
+    found = {name: (f"max_{kind}",) for kind, name in profile.limits.items()}
+    if profile.watchdog.parameter is not None:
+        found[profile.watchdog.parameter] = ("watchdog_time",)
+    return found | _compensation(profile)
+
+
 def _compensation(profile: Profile) -> dict[str, tuple[str, ...]]:
-    """Firmware values behind the parameters of the compensation law."""
     law = profile.compensation
     both = ("coulomb_positive", "coulomb_negative")
     named = {
@@ -83,22 +166,24 @@ def _compensation(profile: Profile) -> dict[str, tuple[str, ...]]:
 def _entry(
     name: str,
     keys: tuple[str, ...],
-    parameter: Parameter,
-    address: CanopenAddress,
+    profile: Profile,
     axis: VirtualAxis,
 ) -> Entry:
-    access = "ro" if parameter.access == "ro" else str(parameter.access)
-    code = _CODES[address.type]
+    parameter = profile.parameters[name]
+    access = str(parameter.access)
+    code = _CODES[parameter.address.type]
     if name == "supported_modes":
-        return Entry((), code, "ro", default=sum(1 << (mode - 1) for mode in MODES))
+        return Entry((), code, "ro", name=name, default=sum(1 << (mode - 1) for mode in MODES))
     if name == "rated_current":
-        return Entry((), code, "ro", default=round(RATED_CURRENT / parameter.scale))
+        return Entry((), code, "ro", name=name, default=round(RATED_CURRENT / parameter.scale))
     known = [key for key in keys if key in _FIRMWARE]
     if not known:
-        return Entry((), code, access)
+        return Entry((), code, access, name=name)
     unit, step = _FIRMWARE[known[0]]
-    factor = parameter.scale * _size(parameter.unit, axis) / (step * _size(unit, axis))
-    return Entry(tuple(known), code, access, factor)
+    law = profile.compensation
+    sign = law.negative_sign if name == law.negative else 1
+    factor = sign * parameter.scale * _size(parameter.unit, axis) / (step * _size(unit, axis))
+    return Entry(tuple(known), code, access, factor, name=name)
 
 
 def _size(unit: Unit, axis: VirtualAxis) -> float:

@@ -33,3 +33,29 @@ def test_encode_and_decode(kind: str, order: str, raw: int, words: list[int]) ->
 def test_a_value_that_does_not_fit_is_refused() -> None:
     with pytest.raises(ValueError, match="does not fit"):
         encode(address("i16"), 40000)
+
+
+def test_bits_of_a_register_are_a_value_of_their_own() -> None:
+    low = ModbusAddress.model_validate({"register": 0, "type": "u16", "bits": 0x0001})
+    high = ModbusAddress.model_validate({"register": 0, "type": "u16", "bits": 0x0F00})
+    assert decode(low, [0x0A01]) == 1
+    assert decode(high, [0x0A01]) == 0x0A
+    assert encode(high, 0x0A) == [0x0A00]
+    assert high.raw_range == (0, 15)
+    with pytest.raises(ValueError, match="does not fit"):
+        encode(low, 2)
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"type": "u32", "write_function": 6}, "writes one register; u32 takes 2"),
+        ({"type": "u32", "bits": 1}, "only of one register"),
+        ({"type": "u16", "write_function": 22}, "say which"),
+    ],
+)
+def test_an_address_that_cannot_be_written_so_is_refused(
+    keys: dict[str, object], words: str
+) -> None:
+    with pytest.raises(ValueError, match=words):
+        ModbusAddress.model_validate({"register": 0, **keys})

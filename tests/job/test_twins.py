@@ -1,4 +1,4 @@
-"""Every built-in CANopen profile against its twin, as a technician would rehearse it."""
+"""Every built-in profile against its twin, as a technician would rehearse it."""
 
 from __future__ import annotations
 
@@ -8,34 +8,77 @@ from pathlib import Path
 import pytest
 
 from drivers.link import axis_of, open_drive
+from profiles.axis import load_axis
 from profiles.library import builtin_names, load_profile
 from tests.conftest import Serve, Tworelay
 
-PROFILES = [
-    name
-    for name in builtin_names()
-    if load_profile(name).bus == "canopen" and load_profile(name).status != "virtual"
-]
+PROFILES = [name for name in builtin_names() if load_profile(name).status != "virtual"]
+SLOW = 0.02  # kg.m2: an axis that cycles of 10 to 50 ms can follow
 
 
-def served(serve: Serve, profile: str) -> str:
-    return serve("bench", "--profile", profile, "--socketcand", "127.0.0.1:0", "--clock", "step")[0]
+def served(serve: Serve, profile: str, *options: str) -> str:
+    wire = "--socketcand" if load_profile(profile).bus == "canopen" else "--modbus-rtu-tcp"
+    twin = ("--profile", profile, wire, "127.0.0.1:0", "--clock", "step")
+    return serve("bench", *twin, *options)[0]
+
+
+def axis_file(tmp_path: Path, link: str, profile: str) -> str:
+    """What the drive does not tell is said here; what it does tell is then not read."""
+    path = tmp_path / f"{profile}.toml"
+    known = load_profile(profile).parameters
+    text = f'link = "{link}"\nprofile = "{profile}"\ntravel = 30.0\n'
+    text += "" if "rated_torque" in known else "rated_torque = 1.0\n"
+    text += "" if "encoder_increments" in known else "encoder = 131072\n"
+    path.write_text(f"{text}[limits]\nspeed = 200.0\n")
+    return str(path)
 
 
 @pytest.mark.parametrize("profile", PROFILES)
-def test_a_profile_identifies_its_twin(serve: Serve, tworelay: Tworelay, profile: str) -> None:
-    link = served(serve, profile)
+def test_a_profile_identifies_its_twin(
+    serve: Serve, tworelay: Tworelay, tmp_path: Path, profile: str
+) -> None:
     loaded = load_profile(profile)
-    options = ["--profile", profile] if loaded.identity.empty else []  # else it is found by itself
+    is_slow = loaded.link.cycle > 0.005
+    link = served(serve, profile, *(("--set", f"inertia={SLOW}") if is_slow else ()))
+    found = not loaded.identity.empty  # by itself
+    target = link if found else axis_file(tmp_path, link, profile)
+    options = ["--travel", "30"]
     options += ["--without-watchdog"] if loaded.watchdog.kind == "none" else []
-    done = tworelay("identify", link, "--travel", "3", "--yes", "--json", "-", *options)
+    done = tworelay("identify", target, "--yes", "--json", "-", *options)
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert result["profile"]["name"] == profile
     assert result["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.01)
-    assert result["friction"]["inertia"]["value"] == pytest.approx(1e-3, rel=0.01)
+    inertia = SLOW if is_slow else 1e-3
+    assert result["friction"]["inertia"]["value"] == pytest.approx(inertia, rel=0.01)
     if loaded.compensation.law == "none":
         assert result["compensation"] == []
+
+
+def test_leadshine_gets_per_cents_with_the_sign_of_the_direction_and_stores_them(
+    serve: Serve, tworelay: Tworelay, tmp_path: Path
+) -> None:
+    profile = "leadshine-el7"
+    link = served(serve, profile, "--set", f"inertia={SLOW}")
+    axis = axis_file(tmp_path, link, profile)
+    assert tworelay("identify", axis, "--yes", "--without-watchdog").returncode == 0
+    done = tworelay("apply", "last", "--yes")
+    assert done.returncode == 0, done.stderr
+    assert "auto tuning (Pr0.02 other than 0) overwrites" in done.stdout
+    drive = open_drive(load_axis(Path(axis)))
+    # 85 % of 0.1 N.m is 8.5 % of the rated 1 N.m, and the drive counts whole per cents
+    assert drive.read_raw("coulomb_positive") in (8, 9)
+    assert drive.read_raw("coulomb_negative") == -drive.read_raw("coulomb_positive")
+    # the experiment left nothing behind
+    assert drive.read_raw("control_mode") == drive.read_raw("torque_source") == 0
+    assert not drive.is_energised()
+    drive.close()
+    stored = json.loads((tmp_path / "drive-0.json").read_text())
+    assert stored["coulomb_positive"] in (80, 90)  # of the virtual drive, per mille
+    assert tworelay("restore").returncode == 0
+    drive = open_drive(load_axis(Path(axis)))
+    assert drive.read_raw("coulomb_positive") == 0
+    drive.close()
 
 
 def test_the_ax2000_gets_a_current_and_is_told_what_else_it_needs(
@@ -94,10 +137,16 @@ def test_a_step_clock_is_not_written_to_a_drive_that_is_no_twin(
     assert "needs a served virtual drive" in done.stderr
 
 
-def test_a_twin_is_a_canopen_node_so_far(tworelay: Tworelay) -> None:
+def test_a_twin_is_served_on_its_own_bus(tworelay: Tworelay) -> None:
     for arguments, words in (
-        (["--profile", "elmo-gold", "--modbus-tcp", "127.0.0.1:0"], "twins are for CANopen so far"),
-        (["--profile", "virtual-modbus", "--socketcand", "127.0.0.1:0"], "is no CANopen node"),
+        (
+            ["--profile", "elmo-gold", "--modbus-tcp", "127.0.0.1:0"],
+            "is for canopen: its twin is served",
+        ),
+        (
+            ["--profile", "virtual-modbus", "--socketcand", "127.0.0.1:0"],
+            "is for modbus: its twin is served",
+        ),
         (["--profile", "nosuch", "--socketcand", "127.0.0.1:0"], "no profile named 'nosuch'"),
     ):
         done = tworelay("virtual", "serve", "bench", *arguments)

@@ -99,7 +99,7 @@ def test_files_that_are_no_profiles(tmp_path: Path) -> None:
 
 def test_an_unknown_name_lists_the_known_ones() -> None:
     with pytest.raises(
-        UnknownName, match=r"cia402, elmo-gold, .*, virtual-canopen, virtual-modbus"
+        UnknownName, match=r"applied-motion.*, cia402, .*, virtual-canopen, virtual-modbus"
     ):
         load_profile("nosuch")
 

@@ -145,3 +145,40 @@ def test_nobody_there_is_said_plainly() -> None:
         port = listener.getsockname()[1]
     with pytest.raises(LinkError, match=f"cannot connect to 127.0.0.1:{port}"):
         Client(TcpWire("127.0.0.1", port), 1, 0.5)
+
+
+@pytest.mark.parametrize("function", [16, 22])
+def test_bits_leave_the_rest_of_their_register_alone(function: int) -> None:
+    profile = load_profile("delta-asda")
+    address = profile.parameters["servo_on"].address.model_copy(
+        update={"bits": 0x0004, "write_function": function}
+    )
+    if function == 16:  # read 00A1h, write 00A5h; then, posted, 00A1h from what was seen
+        script = [
+            ("00 01 00 00 00 06 01 03 04 0e 00 01", "00 01 00 00 00 05 01 03 02 00 A1"),
+            (
+                "00 02 00 00 00 09 01 10 04 0e 00 01 02 00 a5",
+                "00 02 00 00 00 06 01 10 04 0E 00 01",
+            ),
+            (
+                "00 03 00 00 00 09 01 10 04 0e 00 01 02 00 a1",
+                "00 03 00 00 00 06 01 10 04 0E 00 01",
+            ),
+        ]
+    else:  # AND mask FFFBh, OR mask 0004h, then 0000h (6.16 of the standard)
+        script = [
+            (
+                "00 01 00 00 00 08 01 16 04 0e ff fb 00 04",
+                "00 01 00 00 00 08 01 16 04 0E FF FB 00 04",
+            ),
+            (
+                "00 02 00 00 00 08 01 16 04 0e ff fb 00 00",
+                "00 02 00 00 00 08 01 16 04 0E FF FB 00 00",
+            ),
+        ]
+    with peer(script) as (port, _):
+        client = Client(TcpWire("127.0.0.1", port), 1, 1.0)
+        bus = ModbusBus(client, profile, WallPace(0.01))
+        bus.write(address, 1)
+        bus.post(address, 0)
+        bus.close()

@@ -57,6 +57,15 @@ FRAMES: dict[str, list[tuple[str, int, str]]] = {
         ("friction_current", 1500, "23 A4 36 00 DC 05 00 00"),
         ("friction_speed", 230_000, "23 A5 36 00 70 82 03 00"),
     ],
+    # Lexium 32: index 3000h + I, sub S; CTRL1_Kfric I 18 S 16, CTRL_SpdFric I 17 S 9, PAReeprSave I 4 S 1
+    "lexium-32": [
+        *STANDARD[:-2], *REACTIONS,
+        ("friction", 170, "2B 12 30 10 AA 00 00 00"),
+        ("friction_speed", 5, "2B 11 30 09 05 00 00 00"),
+        ("max_current", 600, "2B 11 30 0C 58 02 00 00"),
+        ("torque_ramp", 0, "2B 06 30 2C 00 00 00 00"),
+        ("eeprom_save", 1, "2B 04 30 01 01 00 00 00"),
+    ],
 }  # fmt: skip
 
 

@@ -1,0 +1,264 @@
+"""Energy on and off: by the CiA 402 state machine, or by the procedure that a profile writes down."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from drivers import cia402
+from drivers.drive import Bus
+from drivers.sample import Status
+from profiles.errors import DriveFault, PreflightRefused, WriteFailed
+from profiles.schema import Condition, Power, Profile, Step
+
+__all__ = ["Cia402Power", "PowerStage", "ProcedurePower", "perform", "power_of"]
+
+_POLL = 0.005  # s between two looks at a state
+_TRANSITION = 2.0  # s for one transition of the state machine, brake included
+
+Frame = list[int]  # raw values of cycle.out
+
+
+class PowerStage(Protocol):
+    """What can be done with a drive's energy, and what the drive says of it."""
+
+    def text(self) -> str:
+        """State in words."""
+
+    def is_energised(self) -> bool:
+        """Whether the drive says that it controls the axis."""
+
+    def in_fault(self) -> bool:
+        """Whether the drive reports a fault."""
+
+    def acknowledge(self) -> None:
+        """Reset a fault; never enables."""
+
+    def idle(self) -> Frame:
+        """Raw values of cycle.out that keep an enabled drive enabled, all set-points zero."""
+
+    def enable(self, frame: Frame) -> None:
+        """Energise while `frame` is exchanged; raises DriveFault, PreflightRefused."""
+
+    def disable(self, frame: Frame) -> None:
+        """Take the energy away likewise."""
+
+    def status(self, values: tuple[int, ...]) -> Status:
+        """What the raw values of cycle.in say."""
+
+
+def power_of(bus: Bus, profile: Profile, describe: Callable[[], str]) -> PowerStage:
+    """The power stage of the drive that `profile` describes; `describe` says what it reports."""
+    if profile.power is None:
+        return Cia402Power(bus, profile, describe)
+    return ProcedurePower(bus, profile, profile.power, describe)
+
+
+def perform(
+    bus: Bus, profile: Profile, steps: tuple[Step, ...], what: str, wait: Callable[[], float]
+) -> None:
+    """Write and wait as `steps` say; `wait` lets some time pass and says how much, s.
+
+    Raises WriteFailed when a wait is in vain, LinkError.
+    """
+    for step in steps:
+        if step.write is not None and step.raw is not None:
+            bus.write(profile.parameters[step.write].address, step.raw)
+            continue
+        name = step.until or ""
+        address = profile.parameters[name].address
+        waited = 0.0
+        while (there := bus.read(address)) & step.mask != step.equals:
+            if waited >= step.within:
+                raise WriteFailed(
+                    f"{what}: '{name}' reads {there} for {step.within:g} s instead of {step.equals}"
+                )
+            waited += wait()
+
+
+class Cia402Power:
+    """The state machine of CiA 402: controlword and statusword."""
+
+    def __init__(self, bus: Bus, profile: Profile, describe: Callable[[], str]) -> None:
+        self._bus = bus
+        self._describe = describe
+        self._control = profile.parameters["controlword"].address
+        self._state = profile.parameters["statusword"].address
+        out = profile.cycle.out
+        self._width = len(out)
+        self._at_control = out.index("controlword") if "controlword" in out else None
+        self._at_status = profile.cycle.in_.index("statusword")
+
+    def _word(self) -> int:
+        return self._bus.read(self._state)
+
+    def text(self) -> str:
+        """State in words."""
+        return cia402.state(self._word())
+
+    def is_energised(self) -> bool:
+        """Whether the drive says that it controls the axis."""
+        status = cia402.status(self._word())
+        return status.enabled or status.stopping
+
+    def in_fault(self) -> bool:
+        """Whether the drive reports a fault."""
+        return cia402.status(self._word()).fault
+
+    def acknowledge(self) -> None:
+        """A rising edge of the controlword's fault reset."""
+        for word in (0, cia402.FAULT_RESET, 0):
+            self._bus.write(self._control, word)
+
+    def idle(self) -> Frame:
+        """Zeros, and 'enable operation' where the controlword is in the cycle."""
+        frame = [0] * self._width
+        if self._at_control is not None:
+            frame[self._at_control] = cia402.ENABLE
+        return frame
+
+    def enable(self, frame: Frame) -> None:
+        """Walk to 'operation enabled'."""
+        self._walk(frame, enabled=True)
+
+    def disable(self, frame: Frame) -> None:
+        """Walk to 'switch on disabled'."""
+        self._walk(frame, enabled=False)
+
+    def _walk(self, frame: Frame, *, enabled: bool) -> None:
+        """One transition at a time, the cycle running all the while."""
+        goals = ("operation enabled",) if enabled else ("switch on disabled", "fault")
+        at = self._at_control
+        if at is not None:
+            frame[at] = cia402.SHUTDOWN if enabled else cia402.SWITCH_ON
+        sent: tuple[str, int] | None = None
+        cycles = 0
+        while True:
+            word = self._word()
+            here = cia402.state(word)
+            if here in goals:
+                return
+            if enabled and cia402.status(word).fault:
+                raise DriveFault(f"the drive went into fault while enabling: {self._describe()}")
+            step = cia402.next_controlword(word, enabled=enabled)
+            if step is not None and sent != (here, step):
+                if at is not None:
+                    frame[at] = step
+                self._bus.write(self._control, step)
+                sent, cycles = (here, step), 0
+            elif cycles * self._bus.cycle >= _TRANSITION:
+                raise PreflightRefused(_stuck(here, enabled=enabled))
+            else:
+                # the cycle feeds the drive's watchdog while brake and ramps take their time
+                self._bus.exchange(tuple(frame))
+                cycles += 1
+
+    def status(self, values: tuple[int, ...]) -> Status:
+        """What the statusword says."""
+        return cia402.status(values[self._at_status])
+
+
+class ProcedurePower:
+    """Steps and conditions of the profile's [power]; `disable` and `fault` likewise."""
+
+    def __init__(
+        self, bus: Bus, profile: Profile, power: Power, describe: Callable[[], str]
+    ) -> None:
+        self._bus = bus
+        self._describe = describe
+        self._profile = profile
+        self._power = power
+        into = profile.cycle.in_
+        self._at_enabled = into.index(power.enabled.parameter)
+        fault = power.fault
+        self._at_fault = (
+            into.index(fault.parameter) if fault is not None and fault.parameter in into else None
+        )
+        self._known: dict[tuple[int, int], Status] = {}
+
+    def _holds(self, condition: Condition | None) -> bool:
+        if condition is None:
+            return False
+        return condition.holds(
+            self._bus.read(self._profile.parameters[condition.parameter].address)
+        )
+
+    def text(self) -> str:
+        """State in words, with what the fault's parameter reads."""
+        fault = self._power.fault
+        if fault is not None and self._holds(fault):
+            code = self._bus.read(self._profile.parameters[fault.parameter].address)
+            return f"fault ({fault.parameter} {code:04X}h)"
+        return "enabled" if self.is_energised() else "disabled"
+
+    def is_energised(self) -> bool:
+        """Whether the drive says that it controls the axis."""
+        return self._holds(self._power.enabled)
+
+    def in_fault(self) -> bool:
+        """Whether the drive reports a fault."""
+        return self._holds(self._power.fault)
+
+    def acknowledge(self) -> None:
+        """The profile's reset steps; raises PreflightRefused where there are none."""
+        if not self._power.reset:
+            raise PreflightRefused(
+                f"profile '{self._profile.name}' has no way to reset a fault: reset it at the drive"
+            )
+        self._perform(self._power.reset, "reset", lambda: self._pause(_POLL))
+
+    def idle(self) -> Frame:
+        """Zeros."""
+        return [0] * len(self._profile.cycle.out)
+
+    def enable(self, frame: Frame) -> None:
+        """The profile's enable steps, then wait for its sign."""
+        self._perform(self._power.enable, "enable", lambda: self._turn(frame))
+        self._await(frame, enabled=True)
+
+    def disable(self, frame: Frame) -> None:
+        """The profile's disable steps, then wait for its sign."""
+        self._perform(self._profile.disable, "disable", lambda: self._turn(frame))
+        self._await(frame, enabled=False)
+
+    def _await(self, frame: Frame, *, enabled: bool) -> None:
+        waited = 0.0
+        while self.is_energised() is not enabled:
+            if enabled and self.in_fault():
+                raise DriveFault(f"the drive went into fault while enabling: {self._describe()}")
+            if waited >= _TRANSITION:
+                raise PreflightRefused(_stuck(self.text(), enabled=enabled))
+            waited += self._turn(frame)
+
+    def _perform(self, steps: tuple[Step, ...], what: str, wait: Callable[[], float]) -> None:
+        perform(self._bus, self._profile, steps, what, wait)
+
+    def _turn(self, frame: Frame) -> float:
+        """The cycle feeds the drive's watchdog while brake and ramps take their time."""
+        self._bus.exchange(tuple(frame))
+        return self._bus.cycle
+
+    def _pause(self, seconds: float) -> float:
+        self._bus.wait(seconds)
+        return seconds
+
+    def status(self, values: tuple[int, ...]) -> Status:
+        """What the parameters of the conditions say; there is no sign of a limit."""
+        at = self._at_fault
+        seen = values[self._at_enabled], 0 if at is None else values[at]
+        status = self._known.get(seen)
+        if status is None:
+            fault = self._power.fault
+            tripped = at is not None and fault is not None and fault.holds(seen[1])
+            on = self._power.enabled.holds(seen[0]) and not tripped
+            status = Status(on, tripped, stopping=False, limit=False, word=seen[0] & 0xFFFF)
+            self._known[seen] = status
+        return status
+
+
+def _stuck(here: str, *, enabled: bool) -> str:
+    goal = "enabled" if enabled else "disabled"
+    return (
+        f"the drive does not become {goal}: it stays '{here}' for {_TRANSITION:g} s "
+        "(STO or enable input open, or no mains?)"
+    )

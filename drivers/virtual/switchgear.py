@@ -1,0 +1,91 @@
+"""Power by procedure: which writes energise the firmware of a twin, and what it says of its state."""
+
+from __future__ import annotations
+
+from drivers.virtual.device import Device
+from drivers.virtual.firmware import State
+from drivers.virtual.objects import MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE
+from profiles.schema import Condition, Mode, Power, Profile, Step
+
+__all__ = ["Switchgear"]
+
+_SHUTDOWN, _SWITCH_ON, _ENABLE, _QUICK_STOP, _OFF, _RESET = 0x06, 0x07, 0x0F, 0x02, 0x00, 0x80
+
+Write = tuple[str, int]
+
+
+class Switchgear:
+    """The steps of a profile's power, stop, disable and store, done to a device."""
+
+    def __init__(self, device: Device, profile: Profile, power: Power) -> None:
+        self._device = device
+        self._power = power
+        self._there: dict[str, int] = {}
+        self._enable = _writes(power.enable)
+        self._reset = _writes(power.reset)
+        self._stop = [step for step in _writes(profile.stop) if step[0] != "torque_target"]
+        self._disable = _writes(profile.disable)
+        self._store = _writes(profile.store.steps) if profile.store else []
+        self._ready = {
+            step.until: step.equals or 0
+            for step in (profile.store.steps if profile.store else ())
+            if step.until is not None
+        }
+        self._torque = _writes(profile.modes[Mode.TORQUE][0].before)
+        if profile.watchdog.kind == "none":
+            device.firmware.values["watchdog_time"] = 0
+
+    def written(self, name: str, raw: int) -> None:
+        """An object was written; raises Denied."""
+        self._there[name] = raw
+        write = (name, raw)
+        if write in self._disable:
+            self._control(_OFF)
+        elif write in self._stop:
+            self._control(_QUICK_STOP)
+        elif write in self._reset:
+            self._control(_RESET, _OFF)
+        elif write == self._enable[-1] and self._hold(self._enable):
+            torque = self._hold(self._torque)
+            self._device.firmware.write(
+                "mode", MODE_CYCLIC_TORQUE if torque else MODE_CYCLIC_POSITION
+            )
+            self._control(_SHUTDOWN, _SWITCH_ON, _ENABLE)
+        elif self._store and write == self._store[-1]:
+            self._device.write("store_command", 1)
+
+    def says(self, name: str) -> int | None:
+        """What an object reads that tells the state; None: it tells none."""
+        firmware = self._device.firmware
+        if name in self._ready:
+            busy = self._device.read("store_status") != 0
+            return self._ready[name] ^ 1 if busy else self._ready[name]
+        tripped = firmware.state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
+        conditions = ((self._power.enabled, firmware.energised), (self._power.fault, tripped))
+        told: int | None = None
+        for condition, holds in conditions:
+            if condition is not None and condition.parameter == name:
+                told = (told or 0) | _bits(condition, holds=holds)
+        return told
+
+    def _hold(self, writes: list[Write]) -> bool:
+        return all(self._there.get(name, 0) == raw for name, raw in writes)
+
+    def _control(self, *words: int) -> None:
+        for word in words:
+            self._device.firmware.write("controlword", word)
+
+
+def _writes(steps: tuple[Step, ...]) -> list[Write]:
+    return [
+        (step.write, step.raw) for step in steps if step.write is not None and step.raw is not None
+    ]
+
+
+def _bits(condition: Condition, *, holds: bool) -> int:
+    """A raw value with which the condition holds, or does not."""
+    other = condition.mask & 0xFFFF
+    if condition.equals is not None:
+        return condition.equals if holds else (0 if condition.equals else other)
+    differs = condition.differs or 0
+    return differs ^ (other & -other) if holds else differs

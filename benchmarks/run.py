@@ -17,19 +17,13 @@ sys.path.insert(0, str(HERE.parent))
 
 from benchmarks.accuracy import accuracy  # noqa: E402
 from benchmarks.critical_point import critical_point  # noqa: E402
+from benchmarks.links import WIRES, links, served  # noqa: E402
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
 from commissioning.session import measurement, methods  # noqa: E402
 from commissioning.session.desk import Desk, Options  # noqa: E402
-from drivers.link import axis_of, open_drive  # noqa: E402
-from profiles.schema import Mode  # noqa: E402
-
-WIRES = {
-    "Modbus TCP": ("--modbus-tcp", "127.0.0.1:0"),
-    "socketcand": ("--socketcand", "127.0.0.1:0"),
-    "slcan pty": ("--slcan", "pty"),
-}
+from drivers.link import axis_of  # noqa: E402
 
 
 def measure(
@@ -39,13 +33,6 @@ def measure(
         desk = Desk(journal, interruption, lambda text: None, lambda question, word: True)
         options = Options(cycle=cycle, travel=travel, method=method)
         return session.identify(axis_of(link), options, desk)
-
-
-def serve(*arguments: str) -> tuple[subprocess.Popen[str], str]:
-    command = [sys.executable, "-m", "commissioning", "virtual", "serve", "bench", *arguments]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=HERE.parent)
-    assert server.stdout is not None
-    return server, server.stdout.readline().strip()
 
 
 def error_of(result: dict[str, Any], truth: float) -> str:
@@ -73,12 +60,8 @@ def wires() -> list[str]:
                 if arguments is None:
                     cells.append(error_of(measure("virtual://bench", cycle, None, method), 0.1))
                     continue
-                server, link = serve(*arguments, "--clock", "step")
-                try:
+                with served(*arguments, "--clock", "step") as link:
                     cells.append(error_of(measure(link, cycle, 3.14, method), 0.1))
-                finally:
-                    server.terminate()
-                    server.wait()
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     return lines
 
@@ -180,39 +163,6 @@ def _analysis(link: str) -> float:
         measure(link, 0.001)
     methods.estimate = original
     return min(spent)
-
-
-def links() -> list[str]:
-    """Cycle time and lateness in real time."""
-    lines = [
-        "# Cycle and lateness in real time",
-        "",
-        "Written by `make bench`: 2 000 cycles each, drive served from another process on this machine.",
-        "Lateness is against the absolute deadline of the cycle.",
-        "",
-        "| link | cycle | achieved | lateness median | p99 | worst | missed |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    for name, arguments in WIRES.items():
-        for cycle in (0.002, 0.005):
-            server, link = serve(*arguments)
-            try:
-                drive = open_drive(axis_of(link), cycle=cycle)
-                drive.enable(Mode.TORQUE)
-                samples = [drive.exchange(0.0) for _ in range(2000)]
-                drive.stop()
-                drive.close()
-            finally:
-                server.terminate()
-                server.wait()
-            late = sorted(s.lateness for s in samples)
-            achieved = (samples[-1].time - samples[0].time) / (len(samples) - 1)
-            lines.append(
-                f"| {name} | {cycle * 1000:g} ms | {achieved * 1000:.3f} ms | "
-                f"{late[1000] * 1000:.3f} ms | {late[1980] * 1000:.3f} ms | "
-                f"{late[-1] * 1000:.2f} ms | {sum(s.missed for s in samples)} |"
-            )
-    return lines
 
 
 def main() -> None:

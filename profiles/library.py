@@ -15,12 +15,15 @@ from profiles.toml_files import parse_model, parse_tree, read_text, validated
 
 if TYPE_CHECKING:
     from profiles.draft import Draft
+    from profiles.table import Row
 
 __all__ = [
     "builtin_names",
     "check",
     "digest",
+    "draft_from_csv",
     "draft_from_eds",
+    "draft_from_table",
     "fitting",
     "load_profile",
     "source_text",
@@ -139,19 +142,21 @@ class Finding:
 def check(profile: Profile) -> list[Finding]:
     """What in a valid profile will nevertheless go wrong at the machine."""
     found: list[Finding] = []
-    seen: dict[tuple[int, int], str] = {}
+    seen: dict[tuple[int, int], tuple[str, int]] = {}  # cell: who has which bits of it
     for name, parameter in profile.parameters.items():
         address = parameter.address
         if isinstance(address, ModbusAddress):
             cells = [(address.register_ + k, 0) for k in range(address.count)]
+            bits = address.bits or 0xFFFF
         else:
-            cells = [(address.index, address.sub)]
+            cells, bits = [(address.index, address.sub)], 0xFFFF
         for cell in cells:
-            if cell in seen and seen[cell] != name:
+            other, taken = seen.get(cell, (name, 0))
+            if taken & bits:
                 found.append(
-                    Finding("error", f"[parameters.{name}] overlaps '{seen[cell]}' at {address}")
+                    Finding("error", f"[parameters.{name}] overlaps '{other}' at {address}")
                 )
-            seen[cell] = name
+            seen[cell] = (name, taken | bits)
     found += [
         Finding("warning", f"[parameters.{name}] is written by apply but unverified")
         for name in (
@@ -194,4 +199,24 @@ def draft_from_eds(path: Path) -> Draft:
 
     draft = from_eds(read_eds(path), _builtin_text("cia402"), path.name)
     parse_model(draft.text, Profile, f"{path} makes a profile that is not valid")
+    return draft
+
+
+def draft_from_csv(path: Path) -> Draft:
+    """A profile of the drive whose registers a table lists; raises ProfileError."""
+    from profiles.table import read_csv
+
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ProfileError(f"{path}: cannot be read: {error.strerror or error}") from None
+    return draft_from_table(read_csv(data, path.name), path.stem, path.name)
+
+
+def draft_from_table(rows: list[Row], title: str, origin: str = "answers") -> Draft:
+    """A profile of the drive that has these registers; raises ProfileError."""
+    from profiles.table import from_table
+
+    draft = from_table(rows, title, origin)
+    parse_model(draft.text, Profile, f"{origin} makes a profile that is not valid")
     return draft

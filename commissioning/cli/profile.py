@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import click
+
+if TYPE_CHECKING:
+    from profiles.draft import Draft
 
 __all__ = ["command"]
 
@@ -59,22 +64,33 @@ def check_profile(profile: str) -> None:
 
 
 @command.command("new")
-@click.option("--eds", required=True, metavar="F", help="EDS or DCF of a CANopen drive.")
+@click.option("--eds", metavar="F", help="EDS or DCF of a CANopen drive.")
+@click.option("--csv", "table", metavar="F", help="Register table of a Modbus drive.")
 @click.option("--output", required=True, metavar="F", help="The profile that is written (.toml).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
-def new(eds: str, output: str, force: bool) -> None:
-    """Draft a profile from a description file, and say what the file does not tell."""
+def new(eds: str | None, table: str | None, output: str, force: bool) -> None:
+    """Draft a profile from a description file or register table, and say what it does not tell.
+
+    Without either, asks for the registers of a Modbus drive one by one.
+    """
     from pathlib import Path
 
     from profiles.errors import UsageError
-    from profiles.library import check, draft_from_eds, load_profile
+    from profiles.library import check, draft_from_csv, draft_from_eds, load_profile
 
     target = Path(output)
     if target.suffix != ".toml":
         raise UsageError(f"--output {target}: a profile's file ends with .toml")
     if target.exists() and not force:
         raise UsageError(f"--output {target}: exists already; --force overwrites it")
-    draft = draft_from_eds(Path(eds))
+    if eds and table:
+        raise UsageError("--eds and --csv: one of them")
+    if eds:
+        draft = draft_from_eds(Path(eds))
+    elif table:
+        draft = draft_from_csv(Path(table))
+    else:
+        draft = _asked(target.stem)
     try:
         target.write_text(draft.text, "utf-8")
     except OSError as error:
@@ -88,3 +104,45 @@ def new(eds: str, output: str, force: bool) -> None:
         f"{target}: profile '{loaded.name}', {len(loaded.parameters)} parameters; what comes next: "
         "docs/bring-your-own-drive.md"
     )
+
+
+def _asked(name: str) -> Draft:
+    """The same table, asked for."""
+    import sys
+
+    from profiles.errors import UsageError
+    from profiles.library import draft_from_table
+    from profiles.table import NAMES, Row
+
+    if not sys.stdin.isatty():
+        raise UsageError("profile new: give --eds F or --csv F; questions need a terminal")
+    click.echo("Registers as on the wire (813, 0x32D or 32Dh). Enter alone: the drive has none.")
+    title = click.prompt("name of the drive", default=name)
+    is_cia402 = click.confirm("does it have a controlword (CiA 402)?", default=False)
+    left_out = ("servo_on", "drive_status", "alarm") if is_cia402 else _CIA402
+    rows = []
+    for known, (unit, _, what) in NAMES.items():
+        if known in left_out:
+            continue
+        register = click.prompt(f"{known}: {what}", default="", show_default=False)
+        if not register:
+            continue
+        cells = {"name": known, "register": register}
+        cells["type"] = click.prompt("  type", default="i32" if "position" in known else "u16")
+        if unit not in ("1", "increment"):
+            cells["unit"] = click.prompt("  unit", default=unit)
+            cells["scale"] = click.prompt(f"  one raw step in {cells['unit']}", default="1")
+        for column, question in _QUESTIONS.get(known, ()):
+            cells[column] = click.prompt(f"  {question}")
+        rows.append(Row(known, cells))
+    return draft_from_table(rows, title)
+
+
+_CIA402 = ("controlword", "statusword", "mode_of_operation", "mode_display")
+_QUESTIONS = {
+    "servo_on": (("on", "written to enable"), ("off", "written to disable")),
+    "drive_status": (
+        ("mask", "bits that show that it is enabled (0xFFFF: all)"),
+        ("on", "what these bits then read"),
+    ),
+}

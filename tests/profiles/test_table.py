@@ -1,0 +1,108 @@
+"""Register tables: what becomes a profile, and what is refused in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from profiles.errors import ProfileError
+from profiles.library import check, load_profile
+from profiles.schema import ModbusAddress, Unit
+from profiles.table import from_table, read_csv
+from tests.conftest import Tworelay
+
+# P06.05 = 0605h and so on: the DSY-RS' own addresses, in the notations that people use
+TABLE = """# a comment
+Name;Register;Type;Unit;Scale;Minimum;Maximum;Function;Mask;On;Off;Word order
+torque_target;0605h;i16;rated;0,001;-3000;3000;6;;;;
+position_actual;0x1207;i32;;;;;;;;;low-first
+torque_actual;4612;i16;rated;0.001;;;;;;;
+drive_status;1200h;u16;;;;;;0xFF;2;;
+servo_on;020Bh;u16;;;;;6;;1;0;
+rated_torque;0105h;u16;N.m;0.01;;;;;;;
+coulomb_positive;0x700;i16;rated;0.01;-100;100;6;;;;
+coulomb_negative;0x701;i16;rated;0.01;-100;100;6;;;;
+"""
+
+
+def test_a_table_becomes_a_profile(tworelay: Tworelay, tmp_path: Path) -> None:
+    table, target = tmp_path / "my drive.csv", tmp_path / "mine.toml"
+    table.write_text(TABLE, "utf-8")
+    done = tworelay("profile", "new", "--csv", str(table), "--output", str(target))
+    assert done.returncode == 0, done.stderr
+    assert "note: no watchdog_time: the drive does not notice a dead link" in done.stdout
+    profile = load_profile(str(target))
+    assert profile.name == "my-drive"
+    torque = profile.parameters["torque_target"]
+    assert isinstance(torque.address, ModbusAddress)
+    assert (torque.address.register_, torque.address.write_function) == (0x0605, 6)
+    assert (torque.scale, torque.unit, torque.minimum) == (0.001, Unit.RATED_TORQUE, -3000)
+    position = profile.parameters["position_actual"].address
+    assert isinstance(position, ModbusAddress)
+    assert (position.register_, position.word_order) == (0x1207, "low-first")
+    assert profile.cycle.function == "fc6+3"
+    assert profile.power is not None
+    assert profile.power.enabled.holds(0x0102)
+    assert not profile.power.enabled.holds(0x0103)
+    assert profile.compensation.law == "offset+asymmetric"
+    assert not [f for f in check(profile) if f.severity == "error"]
+
+
+def test_a_cia_402_drive_counted_from_40001_with_commas() -> None:
+    rows = read_csv(
+        b"name,modicon,type\ncontrolword,40001,u16\nstatusword,40002,u16\nmode_of_operation,40003,i16\n"
+        b"mode_display,40004,i16\ntorque_target,40005,i16\nposition_actual,40006,i32\n",
+        "t.csv",
+    )
+    draft = from_table(rows, "X", "t.csv")
+    assert 'state_machine = "cia402"' in draft.text
+    assert "register = 4\n" in draft.text
+    assert any("'torque_target' has no scale" in note for note in draft.notes)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("Name;Register", "Name;Adress", "no column 'adress'; there are name, register"),
+        ("0605h", "0605q", "row 2: register '0605q' must be a number such as 813"),
+        ("0,001;-3000", "much;-3000", "row 2: scale 'much' is no number"),
+        ("torque_target", "Torque!", "row 2: name 'Torque!' must be of lower-case letters"),
+        ("torque_actual", "torque_target", "row 4: 'torque_target' comes twice"),
+        ("position_actual", "position", "the table lacks position_actual"),
+        ("servo_on", "servo", "how is the drive enabled? The table needs controlword"),
+        ("0xFF;2", "0xFF;", "drive_status needs 'on'"),
+        ("Name;Register", "Name;Name", "column 'name' comes twice"),
+    ],
+)
+def test_a_mistake_is_told_with_its_row(old: str, new: str, words: str) -> None:
+    with pytest.raises(ProfileError) as caught:
+        from_table(read_csv(TABLE.replace(old, new, 1).encode(), "t.csv"), "x", "t.csv")
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("i16;rated;0,001", "i99;rated;0,001", "type"),
+        ("i16;rated;0,001", "i16;furlong;0,001", "unit"),
+        ("0605h;i16", "0605h;i32", "write_function 6 writes one register"),
+    ],
+)
+def test_what_the_schema_refuses_ends_with_exit_code_2(
+    old: str, new: str, words: str, tworelay: Tworelay, tmp_path: Path
+) -> None:
+    table, target = tmp_path / "t.csv", tmp_path / "mine.toml"
+    table.write_text(TABLE.replace(old, new, 1), "utf-8")
+    done = tworelay("profile", "new", "--csv", str(table), "--output", str(target))
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert not target.exists()
+
+
+def test_questions_need_a_terminal(tworelay: Tworelay, tmp_path: Path) -> None:
+    done = tworelay("profile", "new", "--output", str(tmp_path / "x.toml"))
+    assert done.returncode == 2
+    assert "give --eds F or --csv F; questions need a terminal" in done.stderr

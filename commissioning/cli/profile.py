@@ -128,7 +128,7 @@ def _asked(name: str) -> Draft:
         if not register:
             continue
         cells = {"name": known, "register": register}
-        cells["type"] = click.prompt("  type", default="i32" if "position" in known else "u16")
+        cells["type"] = click.prompt("  type", default=_type(known))
         if unit not in ("1", "increment"):
             cells["unit"] = click.prompt("  unit", default=unit)
             cells["scale"] = click.prompt(f"  one raw step in {cells['unit']}", default="1")
@@ -136,6 +136,12 @@ def _asked(name: str) -> Draft:
             cells[column] = click.prompt(f"  {question}")
         rows.append(Row(known, cells))
     return draft_from_table(rows, title)
+
+
+def _type(name: str) -> str:
+    if "position" in name:
+        return "i32"
+    return "i16" if name.startswith(("torque", "coulomb")) else "u16"
 
 
 _CIA402 = ("controlword", "statusword", "mode_of_operation", "mode_display")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import struct
+from time import perf_counter
 
 from drivers.canopen.wire import SYNC, CanWire
 from drivers.drive import Exchange
@@ -19,6 +20,9 @@ MISSED_CYCLES = 3  # consecutive cycles without a sample are a lost link (safety
 NMT_OPERATIONAL = 0x01
 NMT_PRE_OPERATIONAL = 0x80
 _STATE_OPERATIONAL = 0x05
+_STATES = {0x00: "booting", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
+_HEARTBEAT_EVERY = 100  # ms, asked of a node that has none
+_HEARTBEATS_MISSED = 3
 _PDO_OFF = 1 << 31
 _PDO_FLAGS = 3 << 29  # no RTR, 29-bit frame: the drive's own
 _EVENT_DRIVEN = 255
@@ -71,6 +75,7 @@ class CanopenBus:
         self._heartbeat = 0x700 + watchdog.node if watchdog.kind == "heartbeat" else None
         self._heartbeat_every = watchdog.timeout / 4
         self._heartbeat_due = -1.0
+        self._silence_allowed = 0.0  # s without a heartbeat of the node; 0: it has none
         if pace.stepping:
             set_simulation(self.write, profile, "simulation_cycle", pace.cycle, self._is_twin)
 
@@ -121,8 +126,40 @@ class CanopenBus:
         self._map(self._rpdo, self._out, _EVENT_DRIVEN, 0x100 + 0x100 * self._profile.cycle.rpdo)
         self._map(self._tpdo, self._in, _EVERY_SYNC, 0x80 + 0x100 * self._profile.cycle.tpdo)
         self._wire.listen_tpdo(self._tpdo.cob_id)
+        if self.in_real_time:
+            self._ask_for_heartbeat()
         self._wire.nmt(NMT_OPERATIONAL)
+        self._wire.restarted = False
+        self._wire.heard_at = perf_counter()
         self._running = True
+
+    def _ask_for_heartbeat(self) -> None:
+        """See that the node produces a heartbeat (1017h); one without it is known by its TPDO only."""
+        try:
+            every = int.from_bytes(self._wire.upload(0x1017, 0)[:2], "little")
+            if not every:
+                self._wire.download(0x1017, 0, struct.pack("<H", _HEARTBEAT_EVERY))
+                self._restore.append((0x1017, 0, b"\0\0"))
+                every = _HEARTBEAT_EVERY
+        except AccessDenied:
+            return
+        self._silence_allowed = _HEARTBEATS_MISSED * every / 1000
+
+    def _supervise(self) -> None:
+        """Raises LinkLost where the node has restarted, or fallen silent."""
+        wire = self._wire
+        if wire.restarted:
+            raise LinkLost(
+                f"node {wire.node} has restarted (its boot-up message was heard): was its supply "
+                "interrupted?"
+            )
+        if not self._silence_allowed:
+            return
+        silent = perf_counter() - wire.heard_at
+        if silent > self._silence_allowed:
+            raise LinkLost(
+                f"no heartbeat from node {wire.node} for {silent * 1000:.0f} ms: the link is lost"
+            )
 
     def _map(
         self, pdo: _Pdo, wanted: list[CanopenAddress], transmission: int, default_id: int
@@ -174,6 +211,7 @@ class CanopenBus:
                 self._heartbeat_due = sent + self._heartbeat_every
             lateness = pace.next_deadline()
             wire.drain()
+            self._supervise()
             time = pace.now()
             wire.send(SYNC, b"")
             data = wire.take_tpdo(self._deadline)
@@ -185,14 +223,27 @@ class CanopenBus:
             if missed >= MISSED_CYCLES:
                 raise LinkLost(
                     f"no TPDO from node {wire.node} for {missed} cycles of "
-                    f"{self.cycle * 1000:g} ms: the link is lost"
+                    f"{self.cycle * 1000:g} ms: the link is lost{self._last_word()}"
                 )
+
+    def _last_word(self) -> str:
+        """What the node or the adapter said last, as far as it explains a silence."""
+        wire = self._wire
+        if wire.bus_trouble:
+            return f"; {wire.bus_trouble}"
+        state = wire.heartbeat_state
+        if not self._silence_allowed or state in (None, _STATE_OPERATIONAL):
+            return ""
+        return f"; its heartbeat says '{_STATES.get(state, f'{state:02X}h')}'"
 
     def wait(self, seconds: float) -> None:
         """Let time pass; on a stepping drive, by asking it to."""
         if self._pace.stepping:
             set_simulation(self.write, self._profile, "simulation_advance", seconds, self._is_twin)
         self._pace.pass_time(seconds)
+        if self._running and self.in_real_time:
+            self._wire.drain()
+            self._supervise()
 
     def other_master(self) -> str:
         """COB-ID of a frame that only another master would send."""

@@ -21,6 +21,7 @@ from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
+from drivers.canopen import bus_state
 from profiles.errors import AccessDenied, LinkError, LinkLost, UsageError
 
 __all__ = ["CanWire", "NoAnswer", "open_bus"]
@@ -32,6 +33,9 @@ SYNC = 0x080
 EMERGENCY = 0x080
 HEARTBEAT = 0x700
 NMT = 0x000
+BOOT_UP = 0x00  # as a heartbeat's state (CiA 301, 7.2.8.3.3)
+_WITH_MULTIPLEXER = (2, 3, 4)  # SDO server: upload and download begin, abort (CiA 301, 7.2.4.3)
+_NO_OBJECT = b"\0\0\0"  # some drives abort so
 _POST_ANSWER = 0.05  # s that the answer to a posted download may take
 
 Trace = Callable[[bool, int, bytes], None]
@@ -131,6 +135,9 @@ class CanWire:
     ----------
     emergency : last EMCY (code, register) of the node, or None
     heartbeat_state : last NMT state heard, or None
+    heard_at : when that was, s of the performance counter
+    restarted : the node said that it has booted, since this was last set to False
+    bus_trouble : what the adapter last said of the bus, for people; '' when it is well
     foreign_master : COB-ID of a frame that only another master would send, or None
     garbled : frames that could not be read
     error_frames : that the adapter reported
@@ -142,6 +149,9 @@ class CanWire:
         self.node = node
         self.emergency: tuple[int, int] | None = None
         self.heartbeat_state: int | None = None
+        self.heard_at = 0.0
+        self.restarted = False
+        self.bus_trouble = ""
         self.foreign_master: int | None = None
         self.garbled = 0
         self.error_frames = 0
@@ -162,7 +172,8 @@ class CanWire:
         try:
             self._bus.send(message, timeout=0.1)
         except (can.CanError, OSError, ValueError) as error:
-            raise LinkLost(f"cannot send on the CAN bus: {_first_line(error)}") from None
+            reason = self.bus_trouble or _first_line(error)
+            raise LinkLost(f"cannot send on the CAN bus: {reason}") from None
         if self._trace is not None:
             self._trace(True, cob_id, data)
 
@@ -177,11 +188,11 @@ class CanWire:
             else:
                 message = self._bus.recv(timeout)
         except (ValueError, IndexError):
-            self.garbled += 1  # a corrupt line of a serial adapter; the next one is good again
+            self._skip_line()
             return True
         except (can.CanError, OSError) as error:
             if isinstance(error.__cause__ or error.__context__, ValueError):
-                self.garbled += 1
+                self._skip_line()
                 return True
             raise LinkLost(f"the CAN adapter failed: {_first_line(error)}") from None
         if message is None:
@@ -190,24 +201,35 @@ class CanWire:
         cob_id = message.arbitration_id
         if self._trace is not None:
             self._trace(False, cob_id, data)
-        self.error_frames += message.is_error_frame
+        if message.is_error_frame:
+            self.error_frames += 1
+            self.bus_trouble = bus_state.words(cob_id, data)
         if message.is_error_frame or message.is_extended_id or message.is_remote_frame:
             return True
         if cob_id == self._tpdo_id:
             self._tpdo = data
         elif cob_id == self._sdo.tx_cobid:
             if len(data) == 8:
-                self._sdo.responses.put(data)
+                self._sdo.take(data)
             else:
                 self.garbled += 1
         elif cob_id == EMERGENCY + self.node and len(data) == 8:
             code, register = struct.unpack_from("<HB", data)
             self.emergency = (code, register) if code else None
         elif cob_id == HEARTBEAT + self.node and len(data) == 1:
-            self.heartbeat_state = data[0]
+            self.heartbeat_state = data[0] & 0x7F
+            self.heard_at = time.perf_counter()
+            self.restarted = self.restarted or self.heartbeat_state == BOOT_UP
         elif cob_id in (NMT, SYNC, 0x200 + self.node, 0x600 + self.node):
             self.foreign_master = cob_id
         return True
+
+    def _skip_line(self) -> None:
+        """Forget a corrupt line of a serial adapter, which python-can keeps; the next one is good again."""
+        self.garbled += 1
+        line = getattr(self._bus, "_buffer", None)
+        if isinstance(line, bytearray):
+            line.clear()
 
     def pump_until(self, done: Callable[[], bool], timeout: float) -> bool:
         """Pump until `done()`, at most `timeout` s; return whether it is done."""
@@ -268,6 +290,7 @@ class CanWire:
     @contextlib.contextmanager
     def _translated(self, index: int, sub: int) -> Any:
         self._settle_posts()
+        self._sdo.about = struct.pack("<HB", index, sub)
         try:
             yield
         except SdoAbortedError as error:
@@ -278,9 +301,14 @@ class CanWire:
         except SdoCommunicationError as error:
             raise NoAnswer(
                 f"node {self.node} does not answer to SDO {index:04X}h:{sub:02X} within "
-                f"{self._sdo.RESPONSE_TIMEOUT:g} s ({error}); are bit rate, node number and "
-                "channel right, and is the drive on?"
+                f"{self._sdo.RESPONSE_TIMEOUT:g} s ({error}); "
+                + (
+                    self.bus_trouble
+                    or "are bit rate, node number and channel right, and is the drive on?"
+                )
             ) from None
+        finally:
+            self._sdo.about = b""
 
     def nmt(self, command: int) -> None:
         """Send an NMT command to the node."""
@@ -304,6 +332,15 @@ class _PumpedSdo(SdoClient):
         self.RESPONSE_TIMEOUT = timeout
         self.network = wire  # type: ignore[assignment]
         self._wire = wire
+        self.about = (
+            b""  # index and sub-index that are asked for; empty: answers to posts are awaited
+        )
+
+    def take(self, data: bytes) -> None:
+        """An answer; one about another object came late, or twice, and is nobody's any more."""
+        begins = data[0] >> 5 in _WITH_MULTIPLEXER
+        if not self.about or not begins or data[1:4] in (self.about, _NO_OBJECT):
+            self.responses.put(data)
 
     def read_response(self) -> bytes:
         """Pump the wire until the response is there."""

@@ -1,0 +1,330 @@
+"""What goes over CAN, frame for frame against the words of CiA 301, and what hostile peers send."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+
+import can
+import pytest
+
+from drivers.canopen.bus import CanopenBus
+from drivers.canopen.bus_state import BUS_OFF, NO_ACK, PASSIVE, words
+from drivers.canopen.wire import CanWire, NoAnswer, open_bus
+from drivers.pace import WallPace
+from profiles.errors import AccessDenied, LinkLost, TwoRelayError
+from profiles.library import load_profile
+
+Frame = tuple[int, str]
+Answer = Callable[[int, bytes], list[Frame]]
+NODE = 5
+
+
+class Peer:
+    """A CAN adapter whose bus answers by a function; everything sent is noted."""
+
+    def __init__(self, answer: Answer) -> None:
+        self.sent: list[Frame] = []
+        self._answer = answer
+        self.waiting: list[can.Message] = []
+
+    def send(self, message: can.Message, timeout: float | None = None) -> None:
+        data = bytes(message.data)
+        self.sent.append((message.arbitration_id, data.hex(" ").upper()))
+        for cob_id, text in self._answer(message.arbitration_id, data):
+            self.say(cob_id, text)
+
+    def say(self, cob_id: int, text: str, *, error: bool = False) -> None:
+        self.waiting.append(
+            can.Message(
+                arbitration_id=cob_id, data=bytes.fromhex(text), is_extended_id=False,
+                is_error_frame=error,
+            )
+        )  # fmt: skip
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        return self.waiting.pop(0) if self.waiting else None
+
+    def shutdown(self) -> None:
+        pass
+
+
+def wire(answer: Answer, timeout: float = 0.05) -> tuple[CanWire, Peer]:
+    peer = Peer(answer)
+    return CanWire(peer, NODE, timeout), peer  # type: ignore[arg-type]
+
+
+def scripted(*answers: str | list[Frame]) -> Answer:
+    """The answers to the SDO requests, one after the other."""
+    left = list(answers)
+
+    def answer(cob_id: int, data: bytes) -> list[Frame]:
+        found = left.pop(0) if left else []
+        return [(0x585, found)] if isinstance(found, str) else found
+
+    return answer
+
+
+# -- CiA 301, 7.2.4.3 --------------------------------------------------------------------------------
+
+
+def test_an_expedited_upload() -> None:
+    node, peer = wire(scripted("43 76 60 00 E8 03 00 00"))
+    assert node.upload(0x6076, 0) == b"\xe8\x03\x00\x00"
+    assert peer.sent == [(0x605, "40 76 60 00 00 00 00 00")]
+
+
+def test_a_segmented_upload() -> None:
+    # 12 bytes: size in the first answer; then 7 and 5 (n = 2, c = 1), the toggle bit alternating
+    node, peer = wire(
+        scripted(
+            "41 08 10 00 0C 00 00 00", "00 74 77 69 6E 20 6F 66", "15 20 65 6C 6D 6F 00 00",
+        )
+    )  # fmt: skip
+    assert node.upload(0x1008, 0) == b"twin of elmo"
+    assert [text for _, text in peer.sent] == [
+        "40 08 10 00 00 00 00 00", "60 00 00 00 00 00 00 00", "70 00 00 00 00 00 00 00",
+    ]  # fmt: skip
+
+
+def test_a_segmented_download() -> None:
+    node, peer = wire(
+        scripted("60 08 10 00 00 00 00 00", "20 00 00 00 00 00 00 00", "30 00 00 00 00 00 00 00")
+    )
+    node.download(0x1008, 0, b"0123456789")
+    # 21h: size indicated, 10 bytes; then 7 bytes, and 3 with n = 4, c = 1
+    assert [text for _, text in peer.sent] == [
+        "21 08 10 00 0A 00 00 00", "00 30 31 32 33 34 35 36", "19 37 38 39 00 00 00 00",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("code", "text"),
+    [
+        ("00 00 02 06", "Object does not exist"),
+        ("22 00 00 08", "device state"),
+        ("30 00 09 06", "Value range of parameter exceeded"),
+    ],
+)
+def test_an_abort_is_a_refusal_in_words(code: str, text: str) -> None:
+    node, _ = wire(scripted(f"80 71 60 00 {code}"))
+    with pytest.raises(AccessDenied, match=r"6071h:00: node 5 refuses it: .*") as caught:
+        node.download(0x6071, 0, b"\0\0")
+    assert text.lower() in str(caught.value).lower()
+
+
+# -- peers that are not as they should be -------------------------------------------------------------
+
+
+def test_the_answer_of_another_node_is_not_ours() -> None:
+    node, _ = wire(
+        scripted([(0x586, "4B 41 60 00 FF FF 00 00"), (0x585, "4B 41 60 00 37 02 00 00")])
+    )
+    assert node.upload(0x6041, 0) == b"\x37\x02"
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        [(0x585, "4B 41 60 00 37 02 00")],  # seven bytes
+        [(0x585, "")],
+        [],
+    ],
+)
+def test_a_truncated_answer_is_no_answer(bad: list[Frame]) -> None:
+    node, peer = wire(scripted(bad))
+    with pytest.raises(NoAnswer, match=r"node 5 does not answer to SDO 6041h:00 within 0\.05 s"):
+        node.upload(0x6041, 0)
+    # nothing is sent twice; the transfer is aborted with 05040000h, time-out
+    assert peer.sent == [(0x605, "40 41 60 00 00 00 00 00"), (0x605, "80 00 00 00 00 00 04 05")]
+
+
+def test_the_answer_to_another_question_is_not_taken_for_ours() -> None:
+    """What came late, or twice, belongs to an object that was asked for before."""
+    node, _ = wire(
+        scripted([(0x585, "4B 77 60 00 11 11 00 00"), (0x585, "4B 41 60 00 37 02 00 00")])
+    )
+    assert node.upload(0x6041, 0) == b"\x37\x02"
+
+
+def test_an_answer_that_came_after_its_time_out_is_forgotten() -> None:
+    node, peer = wire(scripted([], "4B 41 60 00 37 02 00 00"))
+    with pytest.raises(NoAnswer):
+        node.upload(0x6077, 0)
+    peer.say(0x585, "4B 77 60 00 11 11 00 00")
+    assert node.upload(0x6041, 0) == b"\x37\x02"
+
+
+def test_a_node_that_answers_nonsense_is_no_traceback() -> None:
+    for command in range(256):
+        node, _ = wire(lambda cob_id, data, c=command: [(0x585, f"{c:02X} 41 60 00 37 02 00 00")])  # type: ignore[misc]
+        with suppress(TwoRelayError):
+            node.upload(0x6041, 0)
+
+
+# -- the cycle ----------------------------------------------------------------------------------------
+
+
+def running(**options: object) -> tuple[CanopenBus, Peer, list[Frame]]:
+    """A bus of the generic profile in its cycle; the list is what the node says to each SYNC."""
+    tpdo: list[Frame] = [(0x185, "37 02 10 27 00 00 19 00")]
+    objects = {
+        (0x1400, 1): 0x205, (0x1400, 2): 255, (0x1600, 0): 0, (0x1800, 1): 0x185, (0x1800, 2): 1,
+        (0x1A00, 0): 0, (0x1017, 0): 0,
+    }  # fmt: skip
+
+    def answer(cob_id: int, data: bytes) -> list[Frame]:
+        if cob_id == 0x080:
+            return list(tpdo)
+        if cob_id != 0x605:
+            return []
+        index, sub = data[1] | data[2] << 8, data[3]
+        head = f"{data[1]:02X} {data[2]:02X} {sub:02X}"
+        if data[0] == 0x40:
+            value = objects.get((index, sub), 0).to_bytes(4, "little").hex(" ")
+            return [(0x585, f"43 {head} {value}")]
+        objects[index, sub] = int.from_bytes(data[4:], "little")
+        return [(0x585, f"60 {head} 00 00 00 00")]
+
+    node, peer = wire(answer)
+    bus = CanopenBus(node, load_profile("cia402"), WallPace(0.001))
+    bus.start((0x0F, 0, 0))
+    return bus, peer, tpdo
+
+
+def test_the_cycle_is_rpdo_sync_tpdo() -> None:
+    bus, peer, _ = running()
+    mapping = [text for cob_id, text in peer.sent if text.startswith(("23 00 16", "2F 00 16"))]
+    # 1600h: none, then 6040h 16 bits, 6071h 16 bits, 607Ah 32 bits, then three
+    assert mapping == [
+        "2F 00 16 00 00 00 00 00", "23 00 16 01 10 00 40 60", "23 00 16 02 10 00 71 60",
+        "23 00 16 03 20 00 7A 60", "2F 00 16 00 03 00 00 00",
+    ]  # fmt: skip
+    # a producer heartbeat of 100 ms is asked for, and the node is started
+    assert (0x605, "2B 17 10 00 64 00 00 00") in peer.sent
+    assert peer.sent[-1] == (0x000, "01 05")
+    del peer.sent[:]
+    exchange = bus.exchange((0x0F, -250, 0))
+    assert exchange.values == (0x0237, 10000, 25)
+    assert [f for f in peer.sent if f[0] != 0x77F] == [
+        (0x205, "0F 00 06 FF 00 00 00 00"),
+        (0x080, ""),
+    ]
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        [],
+        [(0x186, "37 02 10 27 00 00 19 00")],  # another node's
+        [(0x185, "37 02 10 27")],  # truncated
+    ],
+)
+def test_three_cycles_without_a_whole_tpdo_are_a_lost_link(answer: list[Frame]) -> None:
+    bus, peer, tpdo = running()
+    tpdo[:] = answer
+    del peer.sent[:]
+    with pytest.raises(LinkLost, match="no TPDO from node 5 for 3 cycles"):
+        bus.exchange((0x0F, 0, 0))
+    assert sum(cob_id == 0x080 for cob_id, _ in peer.sent) == 3
+
+
+def test_a_tpdo_that_came_twice_or_late_is_not_the_next_cycle_s() -> None:
+    bus, _, tpdo = running()
+    tpdo[:] = [(0x185, "37 02 10 27 00 00 19 00"), (0x185, "37 02 99 99 00 00 19 00")]
+    assert bus.exchange((0x0F, 0, 0)).values[1] == 10000
+    tpdo[:] = [(0x185, "37 02 11 27 00 00 19 00")]
+    assert bus.exchange((0x0F, 0, 0)).values[1] == 10001
+
+
+def test_a_node_that_boots_in_mid_run_is_a_lost_link() -> None:
+    bus, peer, _ = running()
+    peer.say(0x705, "00")
+    with pytest.raises(LinkLost, match="node 5 has restarted"):
+        bus.exchange((0x0F, 0, 0))
+
+
+def test_a_heartbeat_that_stops_is_a_lost_link_within_three_of_them() -> None:
+    bus, peer, _ = running()
+    peer.say(0x705, "05")
+    bus.exchange((0x0F, 0, 0))
+    with pytest.raises(LinkLost, match="no heartbeat from node 5 for 3"):
+        exchange_for_ever(bus)
+
+
+def exchange_for_ever(bus: CanopenBus) -> None:
+    for _ in range(5000):
+        bus.exchange((0x0F, 0, 0))
+
+
+def test_the_state_that_a_silent_node_told_last_is_said() -> None:
+    bus, peer, tpdo = running()
+    tpdo.clear()
+    peer.say(0x705, "04")
+    with pytest.raises(LinkLost, match="its heartbeat says 'stopped'"):
+        bus.exchange((0x0F, 0, 0))
+
+
+def test_an_emergency_is_kept_until_it_is_reset() -> None:
+    bus, peer, _ = running()
+    peer.say(0x085, "11 86 21 00 00 00 00 00")
+    bus.exchange((0x0F, 0, 0))
+    assert bus.trouble() == "emergency 8611h, error register 21h"
+    peer.say(0x085, "00 00 00 00 00 00 00 00")
+    bus.exchange((0x0F, 0, 0))
+    assert bus.trouble() == ""
+
+
+# -- the adapter ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("identifier", "data", "text"),
+    [
+        (0x040, "00 00 00 00 00 00 00 00", BUS_OFF),  # CAN_ERR_BUSOFF
+        (0x004, "00 20 00 00 00 00 00 00", PASSIVE),  # CAN_ERR_CRTL, TX passive
+        (0x004, "00 10 00 00 00 00 00 00", PASSIVE),  # RX passive
+        (0x020, "00 00 00 00 00 00 00 00", NO_ACK),  # CAN_ERR_ACK
+        (0x004, "00 40 00 00 00 00 00 00", ""),  # back to error active
+        (0x100, "00 00 00 00 00 00 00 00", ""),  # restarted
+    ],
+)
+def test_error_frames_by_linux_can_error_h(identifier: int, data: str, text: str) -> None:
+    assert words(identifier, bytes.fromhex(data)) == text
+    node, peer = wire(scripted())
+    peer.say(identifier, data, error=True)
+    with pytest.raises(NoAnswer) as caught:
+        node.upload(0x6041, 0)
+    assert node.error_frames == 1
+    assert (text or "is the drive on?") in str(caught.value)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
+@pytest.mark.parametrize(
+    "garbage",
+    [b"t58", b"tXYZ8\r", b"t5858ZZ\r", b"t585\xff\r", b"\r\r\r", b"t5859" + b"0" * 30 + b"\r"],
+)
+def test_one_garbled_line_does_not_end_the_reception(garbage: bytes) -> None:
+    master, slave = os.openpty()
+    bus = open_bus("slcan", os.ttyname(slave), 500_000, 1.0)
+    node = CanWire(bus, NODE, 1.0)
+
+    def answer() -> None:
+        heard = b""
+        while b"t6058" not in heard:
+            heard += os.read(master, 100)
+        end = b"" if garbage.endswith(b"\r") else b"\r"
+        os.write(master, garbage + end + b"t58584B41600037020000\r")
+
+    thread = threading.Thread(target=answer)
+    thread.start()
+    try:
+        assert node.upload(0x6041, 0) == b"\x37\x02"
+    finally:
+        thread.join()
+        node.close()
+        os.close(master)
+        os.close(slave)

@@ -1,10 +1,11 @@
-# make demo | test | check | bench – each sets itself up on a bare machine with Python 3.11
+# make demo | test | check | bench | fuzz – each sets itself up on a bare machine with Python 3.11
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+CASES ?= 12000
 
-.PHONY: demo test check bench format lint types imports lock clean
+.PHONY: demo test check bench fuzz format lint types imports lock clean
 
 demo: $(STAMP)
 	$(BIN)/tworelay demo
@@ -21,6 +22,10 @@ check: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python benchmarks/run.py
+
+# nine targets: files of every kind, links, and what peers send; 108 000 cases, some minutes
+fuzz: $(STAMP)
+	TWORELAY_FUZZ=$(CASES) $(BIN)/python -m pytest tests/fuzz -n auto --timeout 1800
 
 format: $(STAMP)
 	$(BIN)/ruff format .

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from commissioning.journal import Journal
 from commissioning.runner import Recorder
 from drivers.sample import Sample
+from profiles.dcf import dcf
 from profiles.errors import JournalError, UnknownName, UsageError
+from profiles.library import load_profile
 
 __all__ = ["RunFolder", "Samples", "resolve"]
 
@@ -118,7 +120,7 @@ class RunFolder:
         return self.path / "profile.toml"
 
     def export(self, journal: Journal, run: str, target: Path) -> list[Path]:
-        """Copy the run to `target` with its journal and samples as CSV; return the files."""
+        """Copy the run to `target` with its journal, samples as CSV, changes as DCF; return the files."""
         result = self.result()
         try:
             target.mkdir(parents=True, exist_ok=True)
@@ -128,9 +130,27 @@ class RunFolder:
             samples = self.samples()
             if samples is not None:
                 _write_csv(target / "samples.csv", samples, result)
+            changes = self._dcf(journal, run)
+            if changes:
+                (target / "changes.dcf").write_text(changes, "utf-8")
         except OSError as error:
             raise UsageError(f"cannot export to {target}: {error}") from None
         return sorted(target.iterdir())
+
+    def _dcf(self, journal: Journal, run: str) -> str:
+        """What the run changed for good in a CANopen drive, as a DCF; '' where there is nothing."""
+        if not self.profile_path().exists():
+            return ""
+        profile = load_profile(str(self.profile_path()))
+        changed = {
+            i.parameter: i.new
+            for i in journal.intents(run, open_only=True)
+            if i.kind != "experiment" and i.parameter in profile.parameters
+        }
+        if profile.bus != "canopen" or not changed:
+            return ""
+        node = re.search(r"[?&]node=(\d+)", journal.run(run).link)
+        return dcf(profile, changed, int(node[1]) if node else profile.link.node)
 
 
 _RESULT_KEYS: dict[str, type | tuple[type, ...]] = {

@@ -48,7 +48,7 @@ def parse_tree(text: str, origin: str) -> dict[str, Any]:
     """TOML text as a tree; raises ProfileError."""
     try:
         return tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # no TOML, or a number of thousands of digits
         raise ProfileError(f"{origin}: is not TOML: {error}") from None
 
 

@@ -18,6 +18,8 @@ __all__ = ["command"]
 def command(run: str, folder: Path) -> None:
     """Copy RUN to FOLDER: result, samples (also as CSV), profile, journal.
 
+    What was written to a CANopen drive is in changes.dcf, for the maker's own tool.
+
     The folder is a RUN itself, on this machine or another.
     """
     from commissioning.journal import Journal

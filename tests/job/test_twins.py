@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import canopen
 import pytest
 
 from drivers.link import axis_of, open_drive
@@ -82,7 +83,7 @@ def test_leadshine_gets_per_cents_with_the_sign_of_the_direction_and_stores_them
 
 
 def test_the_ax2000_gets_a_current_and_is_told_what_else_it_needs(
-    serve: Serve, tworelay: Tworelay
+    serve: Serve, tworelay: Tworelay, tmp_path: Path
 ) -> None:
     link = served(serve, "beckhoff-ax2000")
     options = ("--profile", "beckhoff-ax2000", "--travel", "3", "--yes")
@@ -96,7 +97,14 @@ def test_the_ax2000_gets_a_current_and_is_told_what_else_it_needs(
     assert drive.read_raw("friction_current") == 170
     assert drive.read("friction_current") == pytest.approx(0.085)
     drive.close()
+    exported = tmp_path / "exported"
+    assert tworelay("export", "last", str(exported)).returncode == 0
+    changes = canopen.import_od(str(exported / "changes.dcf"))  # by another reader than ours
+    assert changes[0x36A4].value == 170
     assert tworelay("restore").returncode == 0
+    again = tmp_path / "again"
+    assert tworelay("export", "last", str(again)).returncode == 0
+    assert not (again / "changes.dcf").exists()  # nothing is changed any more
 
 
 def test_an_unverified_address_is_not_written(serve: Serve, tworelay: Tworelay) -> None:

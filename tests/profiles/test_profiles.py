@@ -148,3 +148,10 @@ def test_an_axis_file(tmp_path: Path) -> None:
     path.write_text("travel = -1.0")
     with pytest.raises(ProfileError, match="greater than 0"):
         load_axis(path)
+
+
+def test_a_number_of_thousands_of_digits_is_no_traceback(tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    path.write_text('name = "x"\nstop_time = ' + "9" * 5000 + "\n")
+    with pytest.raises(ProfileError, match="is not TOML"):
+        load_profile(str(path))

@@ -280,6 +280,25 @@ def _open_canopen(
         raise
 
 
+def stored_eds(text: str) -> bytes:
+    """The EDS that a CANopen drive carries in object 1021h; raises LinkError, AccessDenied, UsageError."""
+    from drivers.canopen.wire import CanWire
+
+    link = parse(text)
+    node = link.integer("node", 1, 127)
+    if link.scheme != "canopen" or node is None:
+        raise UsageError(f"{text}: must be the link of a CANopen drive, with its node")
+    wire = CanWire(open_can(link), node, _timeout(link, None))
+    try:
+        return wire.upload_large(0x1021, 0)
+    except AccessDenied as error:
+        raise UsageError(
+            f"the drive carries no EDS ({error}); get the file from its maker, for --eds"
+        ) from None
+    finally:
+        wire.close()
+
+
 def open_can(link: Link, profile: Profile | None = None) -> Any:
     """The CAN adapter that a LINK names, as python-can has it; raises UsageError, LinkError."""
     _only(link, {"node", "bitrate", "timeout", "clock"})

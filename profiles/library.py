@@ -15,6 +15,7 @@ from profiles.toml_files import parse_model, parse_tree, read_text, validated
 
 if TYPE_CHECKING:
     from profiles.draft import Draft
+    from profiles.eds import Eds
     from profiles.table import Row
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "digest",
     "draft_from_csv",
     "draft_from_eds",
+    "draft_from_stored_eds",
     "draft_from_table",
     "fitting",
     "load_profile",
@@ -194,11 +196,23 @@ def check(profile: Profile) -> list[Finding]:
 
 def draft_from_eds(path: Path) -> Draft:
     """A profile of the drive that an EDS or DCF describes; raises ProfileError."""
-    from profiles.draft import from_eds
     from profiles.eds import read_eds
 
-    draft = from_eds(read_eds(path), _builtin_text("cia402"), path.name)
-    parse_model(draft.text, Profile, f"{path} makes a profile that is not valid")
+    return _drafted(read_eds(path), path.name)
+
+
+def draft_from_stored_eds(data: bytes, origin: str) -> Draft:
+    """The same from the EDS that a drive carries; `origin` names the drive."""
+    from profiles.eds import parse_eds
+
+    return _drafted(parse_eds(data, origin), origin)
+
+
+def _drafted(eds: Eds, origin: str) -> Draft:
+    from profiles.draft import from_eds
+
+    draft = from_eds(eds, _builtin_text("cia402"), origin)
+    parse_model(draft.text, Profile, f"{origin} makes a profile that is not valid")
     return draft
 
 

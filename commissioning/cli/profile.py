@@ -66,29 +66,41 @@ def check_profile(profile: str) -> None:
 @command.command("new")
 @click.option("--eds", metavar="F", help="EDS or DCF of a CANopen drive.")
 @click.option("--csv", "table", metavar="F", help="Register table of a Modbus drive.")
+@click.option("--drive", metavar="LINK", help="CANopen drive that carries its EDS (1021h).")
 @click.option("--output", required=True, metavar="F", help="The profile that is written (.toml).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
-def new(eds: str | None, table: str | None, output: str, force: bool) -> None:
-    """Draft a profile from a description file or register table, and say what it does not tell.
+def new(eds: str | None, table: str | None, drive: str | None, output: str, force: bool) -> None:
+    """Draft a profile from a description file, the drive itself or a register table.
 
-    Without either, asks for the registers of a Modbus drive one by one.
+    Says what these do not tell. Without any, asks for the registers of a Modbus drive one by one.
     """
     from pathlib import Path
 
     from profiles.errors import UsageError
-    from profiles.library import check, draft_from_csv, draft_from_eds, load_profile
+    from profiles.library import (
+        check,
+        draft_from_csv,
+        draft_from_eds,
+        draft_from_stored_eds,
+        load_profile,
+    )
 
     target = Path(output)
     if target.suffix != ".toml":
         raise UsageError(f"--output {target}: a profile's file ends with .toml")
     if target.exists() and not force:
         raise UsageError(f"--output {target}: exists already; --force overwrites it")
-    if eds and table:
-        raise UsageError("--eds and --csv: one of them")
+    if sum(source is not None for source in (eds, table, drive)) > 1:
+        raise UsageError("--eds, --csv and --drive: one of them")
     if eds:
         draft = draft_from_eds(Path(eds))
     elif table:
         draft = draft_from_csv(Path(table))
+    elif drive:
+        from drivers.link import stored_eds
+
+        click.echo("reading the drive's own EDS (1021h); some seconds on a slow adapter", err=True)
+        draft = draft_from_stored_eds(stored_eds(drive), drive)
     else:
         draft = _asked(target.stem)
     try:
@@ -115,7 +127,9 @@ def _asked(name: str) -> Draft:
     from profiles.table import NAMES, Row
 
     if not sys.stdin.isatty():
-        raise UsageError("profile new: give --eds F or --csv F; questions need a terminal")
+        raise UsageError(
+            "profile new: give --eds F, --csv F or --drive LINK; questions need a terminal"
+        )
     click.echo("Registers as on the wire (813, 0x32D or 32Dh). Enter alone: the drive has none.")
     title = click.prompt("name of the drive", default=name)
     is_cia402 = click.confirm("does it have a controlword (CiA 402)?", default=False)

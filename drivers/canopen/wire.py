@@ -268,6 +268,20 @@ class CanWire:
         with self._translated(index, sub):
             return bytes(self._sdo.upload(index, sub))
 
+    def upload_large(self, index: int, sub: int) -> bytes:
+        """Read an object of many bytes, by block transfer where the node knows it; raises as `upload`."""
+        try:
+            with (
+                self._translated(index, sub),
+                self._sdo.open(  # type: ignore[no-untyped-call]
+                    index, sub, "rb", buffering=0, block_transfer=True
+                ) as stream,
+            ):
+                self._sdo.about = b""  # from here on an answer begins with its number
+                return bytes(stream.read())
+        except (AccessDenied, NoAnswer):
+            return self.upload(index, sub)
+
     def download(self, index: int, sub: int, data: bytes) -> None:
         """Write an object; raises NoAnswer, AccessDenied."""
         with self._translated(index, sub):

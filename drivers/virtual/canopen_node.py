@@ -10,6 +10,7 @@ import struct
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from drivers.virtual.block_upload import BlockUpload
 from drivers.virtual.device import Device
 from drivers.virtual.dictionary import OWN, Dictionary
 from drivers.virtual.firmware import (
@@ -19,6 +20,7 @@ from drivers.virtual.firmware import (
     Reason,
 )
 from drivers.virtual.mirror import Entry, Mirror
+from drivers.virtual.own_eds import own_eds
 
 __all__ = ["CanopenNode", "Frame"]
 
@@ -28,7 +30,9 @@ _PRE_OPERATIONAL, _OPERATIONAL, _STOPPED = 0x7F, 0x05, 0x04
 _OFF = 1 << 31
 
 # CiA 301, SDO abort codes
+_STORED_EDS = 0x1021
 _ABORT_TOGGLE = 0x05030000
+_ABORT_BLOCK_SIZE = 0x05040002
 _ABORT_COMMAND = 0x05040001
 _ABORT_WRITE_ONLY = 0x06010001
 _ABORT_READ_ONLY = 0x06010002
@@ -111,6 +115,7 @@ class CanopenNode:
         self._outbox: list[Frame] = []
         self._upload: bytes | None = None
         self._download: tuple[int, int, bytearray] | None = None
+        self._block: BlockUpload | None = None
         self._toggle = 0
         self._reset_pdos()
         device.firmware.silence_code = ERROR_HEARTBEAT
@@ -270,12 +275,14 @@ class CanopenNode:
                 self._begin_download(index, sub, data)
             elif specifier == 0:
                 self._download_segment(data)
+            elif specifier == 5:
+                self._block_upload(index, sub, data)
             elif specifier == 4:
-                self._upload = self._download = None
+                self._upload = self._download = self._block = None
             else:
                 raise _Abort(_ABORT_COMMAND)
         except _Abort as abort:
-            self._upload = self._download = None
+            self._upload = self._download = self._block = None
             self._answer(struct.pack("<BHBI", 0x80, index, sub, abort.code))
 
     def _answer(self, data: bytes) -> None:
@@ -300,6 +307,29 @@ class CanopenNode:
         self._answer(bytes((self._toggle << 4 | (7 - len(part)) << 1 | last,)) + part)
         self._toggle ^= 1
         self._upload = rest or None
+
+    def _block_upload(self, index: int, sub: int, data: bytes) -> None:
+        command, block = data[0] & 3, self._block
+        if command == 0:  # initiate: block size in byte 4
+            value = self._read(index, sub)
+            if not 1 <= data[4] <= 127:
+                raise _Abort(_ABORT_BLOCK_SIZE)
+            self._block = BlockUpload(value, data[4])
+            self._answer(struct.pack("<BHBI", 0xC6, index, sub, len(value)))
+            return
+        if block is None:
+            raise _Abort(_ABORT_COMMAND)
+        if command == 3:
+            segments = block.block()
+        elif command == 2 and not block.ended:
+            segments = block.confirmed(data[1], data[2])
+        elif command == 1 and block.ended:
+            self._block = None
+            return
+        else:
+            raise _Abort(_ABORT_COMMAND)
+        for segment in segments:
+            self._answer(segment)
 
     def _begin_download(self, index: int, sub: int, data: bytes) -> None:
         command = data[0]
@@ -341,6 +371,9 @@ class CanopenNode:
         pdo = self._pdo(index)
         if pdo is not None:
             return self._read_pdo(pdo, index, sub)
+        if (index, sub) == (_STORED_EDS, 0):
+            own = self._dictionary
+            return own_eds(own.objects, own.identity, own.strings[0x1008].decode())
         if index in self._dictionary.strings and sub == 0:
             return self._dictionary.strings[index]
         if index in self._dictionary.counts and sub == 0:

@@ -160,3 +160,18 @@ def test_a_twin_is_served_on_its_own_bus(tworelay: Tworelay) -> None:
         done = tworelay("virtual", "serve", "bench", *arguments)
         assert done.returncode == 2, done.stderr
         assert words in done.stderr
+
+
+def test_a_drive_that_carries_its_eds_makes_its_own_profile(
+    serve: Serve, tworelay: Tworelay, tmp_path: Path
+) -> None:
+    (link,) = serve("bench", "--socketcand", "127.0.0.1:0", "--clock", "step")
+    target = tmp_path / "mine.toml"
+    done = tworelay("profile", "new", "--drive", link, "--output", str(target))
+    assert done.returncode == 0, done.stderr
+    profile = load_profile(str(target))
+    assert profile.identity.vendor == "0x00007457"
+    assert profile.watchdog.kind == "heartbeat"
+    done = tworelay("profile", "new", "--drive", "modbus-tcp://127.0.0.1", "--output", "x.toml")
+    assert done.returncode == 2
+    assert "must be the link of a CANopen drive" in done.stderr

@@ -105,4 +105,4 @@ def test_what_the_schema_refuses_ends_with_exit_code_2(
 def test_questions_need_a_terminal(tworelay: Tworelay, tmp_path: Path) -> None:
     done = tworelay("profile", "new", "--output", str(tmp_path / "x.toml"))
     assert done.returncode == 2
-    assert "give --eds F or --csv F; questions need a terminal" in done.stderr
+    assert "give --eds F, --csv F or --drive LINK; questions need a terminal" in done.stderr

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from binascii import crc_hqx
+
 import pytest
 
 from drivers.virtual.axes import AXES
@@ -157,3 +159,25 @@ def test_a_short_rpdo_is_reported_and_not_taken(node: CanopenNode) -> None:
 @pytest.mark.parametrize("data", [b"", b"\x40", b"\x40\x18\x10", bytes(9)])
 def test_malformed_requests_get_no_answer(node: CanopenNode, data: bytes) -> None:
     assert node.receive(0x605, data) == []
+
+
+def test_a_block_upload_with_a_segment_lost_and_sent_again(node: CanopenNode) -> None:
+    """CiA 301, 7.2.4.3.14: the client confirms the last segment in order, and gets the rest again."""
+
+    def ask(request: str) -> list[str]:
+        answers = node.receive(0x605, bytes.fromhex(request))
+        return [a.data.hex(" ").upper() for a in answers]
+
+    # 1008h "tworelay virtual drive", 22 bytes: four segments; blocks of two
+    assert ask("A4 08 10 00 02 00 00 00") == ["C6 08 10 00 16 00 00 00"]
+    assert ask("A3 00 00 00 00 00 00 00") == [
+        "01 74 77 6F 72 65 6C 61", "02 79 20 76 69 72 74 75",
+    ]  # fmt: skip
+    assert ask("A2 01 02 00 00 00 00 00") == [
+        "01 79 20 76 69 72 74 75", "02 61 6C 20 64 72 69 76",
+    ]  # fmt: skip
+    assert ask("A2 02 02 00 00 00 00 00") == ["81 65 00 00 00 00 00 00"]
+    crc = crc_hqx(b"tworelay virtual drive", 0).to_bytes(2, "little").hex(" ").upper()
+    assert ask("A2 01 02 00 00 00 00 00") == [f"D9 {crc} 00 00 00 00 00"]  # six bytes are none
+    assert ask("A1 00 00 00 00 00 00 00") == []
+    assert ask("A2 01 02 00 00 00 00 00")[0].startswith("80")

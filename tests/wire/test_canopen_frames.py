@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+from binascii import crc_hqx
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -114,6 +115,34 @@ def test_an_abort_is_a_refusal_in_words(code: str, text: str) -> None:
     with pytest.raises(AccessDenied, match=r"6071h:00: node 5 refuses it: .*") as caught:
         node.download(0x6071, 0, b"\0\0")
     assert text.lower() in str(caught.value).lower()
+
+
+def test_a_block_upload() -> None:
+    """CiA 301, 7.2.4.3.13: A4h with CRC, C6h with size; A3h; segments; A2h; C1h with CRC; A1h."""
+    text = b"0123456789"
+    crc = crc_hqx(text, 0).to_bytes(2, "little").hex(" ")  # CRC-16-CCITT of the standard
+    node, peer = wire(
+        scripted(
+            "C6 21 10 00 0A 00 00 00",
+            [(0x585, "01 30 31 32 33 34 35 36"), (0x585, "82 37 38 39 00 00 00 00")],
+            f"D1 {crc} 00 00 00 00 00",  # four bytes of the last segment are none
+        )
+    )
+    assert node.upload_large(0x1021, 0) == text
+    assert [sent for _, sent in peer.sent] == [
+        "A4 21 10 00 7F 00 00 00", "A3 00 00 00 00 00 00 00", "A2 02 7F 00 00 00 00 00",
+        "A1 00 00 00 00 00 00 00",
+    ]  # fmt: skip
+
+
+def test_a_node_without_block_transfer_is_read_in_segments() -> None:
+    node, _ = wire(
+        scripted(
+            "80 21 10 00 01 00 04 05", "41 21 10 00 08 00 00 00", "00 61 62 63 64 65 66 67",
+            "1D 68 00 00 00 00 00 00",
+        )
+    )  # fmt: skip
+    assert node.upload_large(0x1021, 0) == b"abcdefgh"
 
 
 # -- peers that are not as they should be -------------------------------------------------------------

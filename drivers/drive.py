@@ -78,6 +78,9 @@ class Drive(Protocol):
     def reset_fault(self) -> None:
         """Acknowledge a fault; never enables."""
 
+    def check_requirements(self) -> None:
+        """Look whether the drive is set up as its profile requires; raises PreflightRefused."""
+
     def preparations(self, mode: Mode) -> dict[str, int]:
         """Raw value of each parameter that `mode` needs set before it is enabled."""
 

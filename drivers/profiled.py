@@ -208,6 +208,37 @@ class ProfiledDrive:
         steps = self._supported(mode).before
         return {s.write: s.raw for s in steps if s.write is not None and s.raw is not None}
 
+    def check_requirements(self) -> None:
+        """Read what the profile requires of the drive; raises PreflightRefused, and writes nothing."""
+        for condition in self.profile.requires:
+            there = self.read_raw(condition.parameter)
+            if not condition.holds(there):
+                parameter = self._parameter(condition.parameter)
+                wanted = (
+                    f"must be {condition.equals}"
+                    if condition.equals is not None
+                    else f"must not be {condition.differs}"
+                )
+                raise PreflightRefused(
+                    f"'{condition.parameter}' ({parameter.address}, {parameter.title}) reads {there}, and "
+                    f"{wanted}: set it in the drive first"
+                )
+
+        self._check_enabling_value()
+
+    def _check_enabling_value(self) -> None:
+        """Refuse a drive whose enabling register holds the enabling value by itself: it would be put back."""
+        power = self.profile.power
+        prepared = self.preparations(Mode.TORQUE)
+        for step in power.enable if power is not None else ():
+            if step.write not in prepared or step.raw in (None, prepared[step.write]):
+                continue
+            if self.read_raw(step.write) == step.raw:
+                raise PreflightRefused(
+                    f"'{step.write}' ({self._parameter(step.write).address}) reads {step.raw}, which "
+                    "enables the drive: what uses it? Set it to another value first"
+                )
+
     # -- energy ----------------------------------------------------------------------------------
 
     def status_text(self) -> str:
@@ -267,16 +298,34 @@ class ProfiledDrive:
         """Take the energy away from an axis at rest; raises LinkError, DriveFault."""
         self._power.disable(list(self._frame(self._rest_raw)))
         self._energised = False
+        if self.profile.power is not None:
+            self._rest()
+
+    def _rest(self) -> None:
+        """Zero as the torque command of a drive without energy."""
+        if self._mode is Mode.TORQUE:
+            self._bus.write(self._set_point.address, 0)
+
+    def refuse_rehearsal(self) -> None:
+        """Raises PreflightRefused where the cycle must not be exchanged without an experiment."""
+        if self.is_energised():
+            raise PreflightRefused(
+                "the drive is enabled, so somebody else controls it: its cycle is not disturbed"
+            )
+        stores = [s.write for s in self._supported(Mode.TORQUE).before if s.write]
+        if self.profile.power is not None and stores:
+            raise PreflightRefused(
+                f"a cycle of profile '{self.profile.name}' writes a register that the drive may store each "
+                f"time, unless {stores[0]} is set: the experiment does that, this measurement does not. "
+                "'tworelay identify' tells how late its cycles were"
+            )
 
     def rehearse(self, count: int) -> list[Exchange]:
         """`count` cycles of the exchange with every output at zero; the drive stays de-energised.
 
         Raises PreflightRefused where it is energised, LinkError.
         """
-        if self.is_energised():
-            raise PreflightRefused(
-                "the drive is enabled, so somebody else controls it: its cycle is not disturbed"
-            )
+        self.refuse_rehearsal()
         zeros = (0,) * len(self.profile.cycle.out)
         self._bus.start(zeros)
         return [self._bus.exchange(zeros) for _ in range(count)]
@@ -391,6 +440,8 @@ class ProfiledDrive:
                 break
             attempt(lambda: self._bus.wait(_POLL))
         self._energised = state is False
+        if state and self.profile.power is not None:
+            attempt(self._rest)  # no stale command waits for the next one who enables it
         return StopReport(state, tuple(dict.fromkeys(failures)))
 
     def _await_standstill(self, hurry: Callable[[], bool]) -> None:

@@ -72,8 +72,10 @@ def _extended(tree: dict[str, Any], origin: str) -> dict[str, Any]:
     if base not in builtin_names():
         raise ProfileError(f"{origin}: extends '{base}': there are {', '.join(builtin_names())}")
     below = _extended(parse_tree(_builtin_text(base), base), base)
-    for name in without if isinstance(without, list) else [without]:
-        tables = [table for table in (below, below["parameters"]) if name in table]
+    if not isinstance(without, list) or not all(isinstance(name, str) for name in without):
+        raise ProfileError(f"{origin}: without: must be a list of names")
+    for name in without:
+        tables = [table for table in (below, below.get("parameters", {})) if name in table]
         if not tables:
             raise ProfileError(f"{origin}: without '{name}', which '{base}' does not have")
         for table in tables:

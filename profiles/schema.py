@@ -303,6 +303,10 @@ class Step(_Strict):
         waits = self.until is not None and self.equals is not None
         if writes == waits:
             raise ValueError("a step is either { write, raw } or { until, mask, equals, within }")
+        if self.equals is not None and self.equals & self.mask != self.equals:
+            raise ValueError(
+                f"mask {self.mask:#x} never leaves {self.equals:#x}: it can never read so"
+            )
         return self
 
 
@@ -318,6 +322,9 @@ class Condition(_Strict):
     def _check(self) -> Self:
         if (self.equals is None) == (self.differs is None):
             raise ValueError("a condition has either equals or differs")
+        value = self.equals if self.equals is not None else self.differs
+        if value is not None and value & self.mask != value:
+            raise ValueError(f"mask {self.mask:#x} never leaves {value:#x}: it can never read so")
         return self
 
     def holds(self, raw: int) -> bool:
@@ -521,6 +528,7 @@ class Profile(_Strict):
     stop: tuple[Step, ...]  # brings the axis to rest; written without waiting for an answer
     disable: tuple[Step, ...]  # takes the energy away; likewise
     stop_time: Annotated[float, Field(gt=0)] = 1.0  # s, from `stop` to rest, brake closed
+    requires: tuple[Condition, ...] = ()  # looked at before anything is written
     limits: dict[Literal["torque", "speed"], str] = {}
     watchdog: Watchdog
     brake: Brake = Brake()
@@ -536,6 +544,8 @@ class Profile(_Strict):
         wanted = {"torque_target", "position_actual"}
         if self.state_machine == "cia402":
             wanted |= {"controlword", "statusword", "mode_of_operation", "mode_display"}
+            if any(code.code is None for codes in self.modes.values() for code in codes):
+                raise ValueError("[modes] lacks a code: a CiA 402 drive is told its mode")
         if missing := wanted - known:
             raise ValueError(f"[parameters] lacks {', '.join(sorted(missing))}")
         for where, name in self._references():
@@ -562,6 +572,13 @@ class Profile(_Strict):
         for name in (status, "position_actual"):
             if name not in self.cycle.in_:
                 raise ValueError(f"[cycle] in lacks '{name}', which every cycle must see")
+        for mode, codes in self.modes.items():
+            for code in codes:
+                if code.set_point not in self.cycle.out:
+                    raise ValueError(f"[cycle] out lacks '{code.set_point}', set-point of {mode}")
+        for name in self.cycle.out:
+            if getattr(self.parameters[name].address, "bits", None) is not None:
+                raise ValueError(f"[cycle] out has '{name}', which is only bits of a register")
         if (self.cycle.function == "pdo") != (self.bus == "canopen"):
             raise ValueError(
                 f"[cycle] function '{self.cycle.function}' does not fit bus '{self.bus}'"
@@ -604,6 +621,7 @@ class Profile(_Strict):
             found += [("loops", name) for name in self.loops.terms.values()]
             found += [("loops", self.loops.lag)] if self.loops.lag else []
         found += [(where, step.write or step.until or "") for where, step in self._steps()]
+        found += [("requires", condition.parameter) for condition in self.requires]
         if self.power is not None:
             conditions = (self.power.enabled, self.power.fault)
             found += [("power", condition.parameter) for condition in conditions if condition]

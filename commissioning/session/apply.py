@@ -22,7 +22,7 @@ from profiles.errors import (
     UsageError,
     WriteFailed,
 )
-from profiles.schema import Profile, Trust
+from profiles.schema import Profile, Trust, Unit
 
 __all__ = ["apply", "restore", "stop"]
 
@@ -117,7 +117,7 @@ def apply(
             present.append({**item, "old_raw": now.old, "old": old})
         show(present)
         stored = drive.profile.store is None or desk.journal.noted(run_id, STORED)
-        _verified(drive.profile, wanted)
+        _verified(drive.profile, wanted, constant_known=axis.torque_constant is not None)
         if drive.profile.compensation.note:
             desk.tell(drive.profile.compensation.note)
         if any(w.old != w.new for w in wanted) or not stored:
@@ -133,13 +133,21 @@ def apply(
     return result
 
 
-def _verified(profile: Profile, wanted: list[_Wanted]) -> None:
-    """Raise Refused where a value would go to an address that nobody verified."""
+def _verified(profile: Profile, wanted: list[_Wanted], *, constant_known: bool) -> None:
+    """Raise Refused where a value would go to an address, or be scaled by a base, that nobody verified."""
     doubtful = [
         f"{w.parameter} ({profile.parameters[w.parameter].address})"
         for w in wanted
         if profile.parameters[w.parameter].trust is Trust.UNVERIFIED
     ]
+    base = profile.parameters.get("rated_current")
+    currents = [w.parameter for w in wanted if profile.parameters[w.parameter].unit is Unit.CURRENT]
+    if currents and not constant_known and base is not None and base.trust is Trust.UNVERIFIED:
+        raise Refused(
+            f"{', '.join(currents)} is a current, and profile '{profile.name}' marks the rated current "
+            f"({base.address}) unverified: nothing was written. Give torque_constant (N.m/A of the motor) in "
+            "the axis file"
+        )
     if doubtful:
         raise Refused(
             f"profile '{profile.name}' marks {', '.join(doubtful)} unverified: nothing was written. Check "

@@ -62,12 +62,15 @@ def latency(axis: Axis, count: int, desk: Desk) -> Latency:
     if axis.link is not None and "clock=step" in axis.link:
         raise UsageError("latency: a drive with clock=step has no time; serve it with --clock wall")
     drive = open_drive(axis, cycle=_FLAT_OUT)
+    power = drive.profile.power
+    status = "statusword" if power is None else power.enabled.parameter
     try:
+        drive.refuse_rehearsal()
         desk.tell(f"{count} reads of one parameter")
         service = []
         for _ in range(count):
             begin = perf_counter()
-            drive.read_raw("statusword")
+            drive.read_raw(status)
             service.append(perf_counter() - begin)
         desk.tell(f"{count} cycles, as fast as they go; the drive stays de-energised")
         times = np.array([e.time for e in drive.rehearse(count + 1)])

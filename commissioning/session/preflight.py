@@ -68,6 +68,7 @@ def look(drive: Drive, axis: Axis) -> None:
             f"another master is on the bus ({other} was heard): two masters move an axis against "
             "each other; disconnect it or stop its program"
         )
+    drive.check_requirements()
     drive.preparations(Mode.TORQUE)  # refuses a drive without torque mode
     law = drive.profile.compensation
     if Mode.TORQUE in law.acts_in:
@@ -138,7 +139,8 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
 def writes(drive: Drive, limits: Limits) -> dict[str, int]:
     """Raw value of every parameter that is set for the experiment and put back after it."""
     named = drive.profile.limits
-    found: dict[str, int] = {}
+    # first what keeps the drive from moving and from storing; it is put back last
+    found = drive.preparations(Mode.TORQUE)
     for kind, value in (("torque", limits.torque), ("speed", 1.2 * limits.speed)):
         name = named.get(kind)  # type: ignore[call-overload]
         if name is not None:
@@ -146,7 +148,6 @@ def writes(drive: Drive, limits: Limits) -> dict[str, int]:
             raw = drive.scaling.to_raw(parameter, value)
             there = drive.read_raw(name)
             found[name] = max(1, min(raw, there)) if there > 0 else raw
-    found |= drive.preparations(Mode.TORQUE)
     found |= drive.watchdog_settings()
     return found
 
@@ -155,6 +156,12 @@ def set_limits(drive: Drive, settings: Settings, limits: Limits) -> None:
     """Write the drive-side limits and arm the watchdog; refused when the drive does not take them."""
     for name, raw in writes(drive, limits).items():
         settings.write("experiment", name, raw)
+    if drive.is_energised():
+        verified(drive.stop(), None)
+        raise PreflightRefused(
+            "the drive became enabled while it was prepared, before any command: what enables it? Look at "
+            "its inputs and at [[modes.torque]] before in the profile"
+        )
 
 
 def prove_watchdog(

@@ -149,6 +149,7 @@ class CanopenBus:
         """Raises LinkLost where the node has restarted, or fallen silent."""
         wire = self._wire
         if wire.restarted:
+            wire.restarted = False  # said once: the stop path still waits for standstill
             raise LinkLost(
                 f"node {wire.node} has restarted (its boot-up message was heard): was its supply "
                 "interrupted?"
@@ -157,6 +158,7 @@ class CanopenBus:
             return
         silent = perf_counter() - wire.heard_at
         if silent > self._silence_allowed:
+            self._silence_allowed = 0.0
             raise LinkLost(
                 f"no heartbeat from node {wire.node} for {silent * 1000:.0f} ms: the link is lost"
             )

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 
 from drivers.drive import Exchange
-from drivers.modbus.client import Client, NoAnswer
+from drivers.modbus.client import POST_ANSWER, Client, NoAnswer
 from drivers.modbus.registers import decode, encode
 from drivers.pace import Pace
 from drivers.stepping import set_simulation
-from profiles.errors import AccessDenied, LinkLost, ProfileError
+from profiles.errors import AccessDenied, LinkLost, ProfileError, TwoRelayError
 from profiles.schema import Address, Identity, ModbusAddress, Profile
 
 __all__ = ["ModbusBus", "identify"]
@@ -92,8 +93,17 @@ class ModbusBus:
             raise AccessDenied(f"{at}: {error}") from None
 
     def post(self, address: Address, raw: int) -> None:
-        """Send a write; no answer is waited for. Bits go into the register as it was last seen."""
-        self._put(_modbus(address), raw, self._client.post)
+        """Send a write; no answer is waited for.
+
+        Bits go into the register as it is now, where it can be read at once, else as it was last seen.
+        """
+        at = _modbus(address)
+        if at.bits is not None and at.write_function != 22:
+            with contextlib.suppress(TwoRelayError):
+                self._words[at.register_] = self._client.read(
+                    at.read_function, at.register_, 1, POST_ANSWER
+                )[0]
+        self._put(at, raw, self._client.post)
 
     def _put(
         self, at: ModbusAddress, raw: int, send: Callable[[int, int, list[int]], None]

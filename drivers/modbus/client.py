@@ -18,7 +18,7 @@ from drivers.modbus.wires import RtuLine, TcpWire, Wire
 from drivers.pace import Silence
 from profiles.errors import AccessDenied, LinkError, LinkLost
 
-__all__ = ["Client", "ExceptionAnswer", "NoAnswer"]
+__all__ = ["POST_ANSWER", "Client", "ExceptionAnswer", "NoAnswer"]
 
 logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
 
@@ -37,7 +37,7 @@ _EXCEPTIONS = {
 
 Trace = Callable[[bool, bytes], None]
 
-_POST_ANSWER = 0.01  # s that a posted write may hold up the next one
+POST_ANSWER = 0.01  # s that a posted write may hold up the next one
 _NEVER_DISCONNECT = 1_000_000  # the receive deadline is ours to judge, not the library's
 
 
@@ -202,7 +202,7 @@ class Client:
         Drives take one transaction at a time, so a second post must not overtake the first.
         """
         with contextlib.suppress(NoAnswer):
-            self.write(function, address, words, _POST_ANSWER)
+            self.write(function, address, words, POST_ANSWER)
 
     def identification(self) -> dict[int, str]:
         """Basic device identification (FC 43/14), text by object id."""

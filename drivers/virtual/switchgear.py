@@ -31,12 +31,15 @@ class Switchgear:
             for step in (profile.store.steps if profile.store else ())
             if step.until is not None
         }
-        self._torque = _writes(profile.modes[Mode.TORQUE][0].before)
+        switched = {name for name, _ in self._enable} | {"torque_target"}
+        before = _writes(profile.modes[Mode.TORQUE][0].before)
+        self._torque = [write for write in before if write[0] not in switched]
         if profile.watchdog.kind == "none":
             device.firmware.values["watchdog_time"] = 0
 
     def written(self, name: str, raw: int) -> None:
         """An object was written; raises Denied."""
+        held = self._hold(self._enable)
         self._there[name] = raw
         write = (name, raw)
         if write in self._disable:
@@ -45,7 +48,7 @@ class Switchgear:
             self._control(_QUICK_STOP)
         elif write in self._reset:
             self._control(_RESET, _OFF)
-        elif write == self._enable[-1] and self._hold(self._enable):
+        elif self._hold(self._enable) and (not held or write == self._enable[-1]):
             torque = self._hold(self._torque)
             self._device.firmware.write(
                 "mode", MODE_CYCLIC_TORQUE if torque else MODE_CYCLIC_POSITION

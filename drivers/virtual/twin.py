@@ -178,7 +178,8 @@ def _entry(
         return Entry((), code, "ro", name=name, default=round(RATED_CURRENT / parameter.scale))
     known = [key for key in keys if key in _FIRMWARE]
     if not known:
-        return Entry((), code, access, name=name)
+        wanted = [c.equals for c in profile.requires if c.parameter == name and c.equals]
+        return Entry((), code, access, name=name, default=wanted[0] if wanted else 0)
     unit, step = _FIRMWARE[known[0]]
     law = profile.compensation
     sign = law.negative_sign if name == law.negative else 1

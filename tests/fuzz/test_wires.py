@@ -31,11 +31,13 @@ class Server:
         self.port = self._listener.getsockname()[1]
         self.answer = b""
         self.right_transaction = True
+        self.connected = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
     def _run(self) -> None:
         connection, _ = self._listener.accept()
+        self.connected.set()
         with connection:
             while request := connection.recv(300):
                 answer = request[:2] + self.answer[2:] if self.right_transaction else self.answer
@@ -50,6 +52,7 @@ class Server:
 def modbus() -> Iterator[tuple[Server, Client]]:
     server = Server()
     client = Client(TcpWire("127.0.0.1", server.port), 1, 1.0)
+    server.connected.wait()  # its socket is the fixture's, not a test's
     yield server, client
     client.close()
     server.close()

@@ -8,7 +8,8 @@ from pathlib import Path
 import canopen
 import pytest
 
-from drivers.link import axis_of, open_drive
+from drivers.link import modbus_wire, open_drive, parse
+from drivers.modbus.client import Client
 from profiles.axis import load_axis
 from profiles.library import builtin_names, load_profile
 from tests.conftest import Serve, Tworelay
@@ -88,11 +89,18 @@ def test_the_ax2000_gets_a_current_and_is_told_what_else_it_needs(
     link = served(serve, "beckhoff-ax2000")
     options = ("--profile", "beckhoff-ax2000", "--travel", "3", "--yes")
     assert tworelay("identify", link, *options).returncode == 0
+    done = tworelay("apply", "last", "--yes")  # its rated current is from memory
+    assert done.returncode == 3
+    assert "Give torque_constant (N.m/A of the motor) in the axis file" in done.stderr
+    path = tmp_path / "axis.toml"
+    path.write_text(
+        f'link = "{link}"\nprofile = "beckhoff-ax2000"\ntravel = 3.0\ntorque_constant = 0.5\n'
+    )
+    assert tworelay("identify", str(path), "--yes").returncode == 0
     done = tworelay("apply", "last", "--yes")
     assert done.returncode == 0, done.stderr
     assert "takes effect after a save and a reset" in done.stdout
-    axis = axis_of(link).model_copy(update={"profile": "beckhoff-ax2000"})
-    drive = open_drive(axis)
+    drive = open_drive(load_axis(path))
     # 85 % of 0.1 N.m, at the twin's 1 N.m for 2 A: 0.17 A, weighted by 1000
     assert drive.read_raw("friction_current") == 170
     assert drive.read("friction_current") == pytest.approx(0.085)
@@ -175,3 +183,84 @@ def test_a_drive_that_carries_its_eds_makes_its_own_profile(
     done = tworelay("profile", "new", "--drive", "modbus-tcp://127.0.0.1", "--output", "x.toml")
     assert done.returncode == 2
     assert "must be the link of a CANopen drive" in done.stderr
+
+
+PRESET = {  # what a machine builder may have left in the drive, and where: value by parameter
+    "leadshine-el7": {"input_1_function": 0x0001, "torque_target": 7, "auto_tuning": 1},
+    "dsy-rs": {"torque_target": 77, "input_1_function": 5, "eeprom_writes": 1},
+    "applied-motion-m56s": {"torque_target": 77, "control_mode": 7},
+    "delta-asda": {"torque_target": 50, "input_source": 0x000F, "monitor_1": 3},
+}
+
+
+@pytest.mark.parametrize("profile", PRESET)
+def test_what_was_set_in_the_drive_is_there_again_after_an_experiment(
+    serve: Serve, tworelay: Tworelay, tmp_path: Path, profile: str
+) -> None:
+    link = served(serve, profile, "--set", f"inertia={SLOW}")
+    path = axis_file(tmp_path, link, profile)
+    bus = open_drive(load_axis(Path(path)))
+    for name, raw in PRESET[profile].items():
+        bus._bus.write(bus.profile.parameters[name].address, raw)  # type: ignore[attr-defined]
+    bus.close()
+    done = tworelay("identify", path, "--yes", "--without-watchdog")
+    assert done.returncode == 0, done.stderr
+    drive = open_drive(load_axis(Path(path)))
+    there = {name: drive.read_raw(name) for name in PRESET[profile]}
+    drive.close()
+    assert there == PRESET[profile]
+    assert tworelay("restore").stdout.strip() == "nothing to restore"
+
+
+def test_the_bits_of_others_survive_a_stop(
+    serve: Serve, tworelay: Tworelay, tmp_path: Path
+) -> None:
+    link = served(serve, "delta-asda")
+    path = axis_file(tmp_path, link, "delta-asda")
+    client = Client(modbus_wire(parse(link.replace("&clock=step", "")), None), 1, 1.0)
+    client.write(16, 0x040E, [0x00F1])  # P4-07: servo on, and four inputs of others
+    assert tworelay("stop", path).returncode == 0
+    assert client.read(3, 0x040E, 1) == [0x00F0]
+    client.close()
+
+
+def test_a_drive_that_is_enabled_by_what_is_set_there_is_refused(
+    serve: Serve, tworelay: Tworelay, tmp_path: Path
+) -> None:
+    link = served(serve, "leadshine-el7", "--clock", "step")
+    path = axis_file(tmp_path, link, "leadshine-el7")
+    client = Client(modbus_wire(parse(link.replace("&clock=step", "")), None), 1, 1.0)
+    client.write(6, 0x0401, [0x0083])
+    done = tworelay("identify", path, "--yes", "--without-watchdog")
+    assert done.returncode == 3
+    assert client.read(3, 0x0323, 1) == [0]  # nothing was prepared
+    client.close()
+
+
+def test_a_drive_that_is_not_set_up_as_its_profile_requires_is_refused(
+    serve: Serve, tworelay: Tworelay, tmp_path: Path
+) -> None:
+    """Another M56S than the twin: protocol 133, low word first."""
+    link = served(serve, "applied-motion-m56s")
+    mine = tmp_path / "mine.toml"
+    mine.write_text(
+        'extends = "applied-motion-m56s"\nname = "mine"\n'
+        'requires = [{ parameter = "protocol", equals = 133 }]\n'
+    )
+    path = tmp_path / "a.toml"
+    path.write_text(
+        f'link = "{link}"\nprofile = "{mine}"\ntravel = 30.0\nrated_torque = 1.0\nencoder = 131072\n'
+    )
+    done = tworelay("identify", str(path), "--yes", "--without-watchdog")
+    assert done.returncode == 3
+    assert "'protocol' (register 0120h, 40289: protocol (PR)" in done.stderr
+    assert "reads 5, and must be 133" in done.stderr
+
+
+def test_latency_of_a_drive_that_may_store_each_command_is_refused(
+    serve: Serve, tworelay: Tworelay, tmp_path: Path
+) -> None:
+    (link,) = serve("bench", "--profile", "dsy-rs", "--modbus-rtu-tcp", "127.0.0.1:0")
+    done = tworelay("latency", axis_file(tmp_path, link, "dsy-rs"))
+    assert done.returncode == 3
+    assert "may store each time, unless eeprom_writes is set" in done.stderr

@@ -17,6 +17,7 @@ from profiles.library import (
     source_text,
 )
 from profiles.schema import CompensationLaw, Identity
+from tests.conftest import ROOT
 
 TEXT = source_text("virtual-modbus")
 
@@ -154,4 +155,42 @@ def test_a_number_of_thousands_of_digits_is_no_traceback(tmp_path: Path) -> None
     path = tmp_path / "p.toml"
     path.write_text('name = "x"\nstop_time = ' + "9" * 5000 + "\n")
     with pytest.raises(ProfileError, match="is not TOML"):
+        load_profile(str(path))
+
+
+CIA402 = (ROOT / "profiles" / "builtin" / "cia402.toml").read_text("utf-8")
+DSY = (ROOT / "profiles" / "builtin" / "dsy-rs.toml").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("text", "old", "new", "words"),
+    [
+        (CIA402, "code = 10\n", "", "lacks a code"),
+        (
+            CIA402,
+            '"torque_target", "position_target"]',
+            '"position_target"]',
+            "out lacks 'torque_target'",
+        ),
+        (DSY, "mask = 0x00FF, equals = 2", "mask = 0x0001, equals = 2", "can never read so"),
+        (DSY, 'out = ["torque_target"]', "out = []", "out lacks 'torque_target'"),
+    ],
+)
+def test_a_profile_that_could_not_be_driven_is_refused(
+    tmp_path: Path, text: str, old: str, new: str, words: str
+) -> None:
+    assert old in text
+    path = tmp_path / "p.toml"
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(ProfileError, match=words):
+        load_profile(str(path))
+
+
+@pytest.mark.parametrize(
+    "without", ['[["a"]]', "3", '["nosuch"]', '["parameters", "rated_torque"]']
+)
+def test_a_bad_without_is_told(tmp_path: Path, without: str) -> None:
+    path = tmp_path / "p.toml"
+    path.write_text(f'extends = "cia402"\nname = "x"\nwithout = {without}\n')
+    with pytest.raises(ProfileError, match="without"):
         load_profile(str(path))

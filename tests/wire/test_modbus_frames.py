@@ -153,16 +153,17 @@ def test_bits_leave_the_rest_of_their_register_alone(function: int) -> None:
     address = profile.parameters["servo_on"].address.model_copy(
         update={"bits": 0x0004, "write_function": function}
     )
-    if function == 16:  # read 00A1h, write 00A5h; then, posted, 00A1h from what was seen
+    if function == 16:  # read 00A1h, write 00A5h; then, posted, read 00B5h and write 00B1h
         script = [
             ("00 01 00 00 00 06 01 03 04 0e 00 01", "00 01 00 00 00 05 01 03 02 00 A1"),
             (
                 "00 02 00 00 00 09 01 10 04 0e 00 01 02 00 a5",
                 "00 02 00 00 00 06 01 10 04 0E 00 01",
             ),
+            ("00 03 00 00 00 06 01 03 04 0e 00 01", "00 03 00 00 00 05 01 03 02 00 B5"),
             (
-                "00 03 00 00 00 09 01 10 04 0e 00 01 02 00 a1",
-                "00 03 00 00 00 06 01 10 04 0E 00 01",
+                "00 04 00 00 00 09 01 10 04 0e 00 01 02 00 b1",
+                "00 04 00 00 00 06 01 10 04 0E 00 01",
             ),
         ]
     else:  # AND mask FFFBh, OR mask 0004h, then 0000h (6.16 of the standard)

@@ -75,7 +75,7 @@ FRAMES: dict[str, list[tuple[str, int | None, str]]] = {
         ("command", 0x9E, "06 00 7C 00 9E"),
         ("command", 0xE1, "06 00 7C 00 E1"),
         ("control_mode", 1, "10 01 06 00 02 04 00 00 00 01"),  # 40263
-        ("protocol", 5, "10 01 20 00 02 04 00 00 00 05"),  # 40289
+        ("protocol", READ, "03 01 20 00 02"),  # 40289
         ("max_speed", 2400, "10 01 84 00 02 04 00 00 09 60"),  # 40389
         ("status_code", READ, "03 00 02 00 02"),  # 40003
         ("position_actual", READ, "03 00 0A 00 02"),  # 40011

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 from drivers.scaling import Scaling
 from profiles.errors import WriteFailed
-from profiles.schema import CompensationLaw, Profile
+from profiles.schema import Profile
 
-__all__ = ["Change", "Known", "propose"]
+__all__ = ["Change", "HostTerms", "Known", "host_terms", "propose"]
 
 DEFAULT_FRACTION = 0.85  # over-compensation makes an axis hunt
 _LEAST_TRUST = 0.3  # relative half-width above which viscous friction is not written
@@ -83,7 +83,7 @@ def propose(
     share = f"{fraction * 100:g} %"
     friction = fraction * known.coulomb
     wanted: dict[str, tuple[float, str]] = {}
-    if law.law is CompensationLaw.NONE:
+    if not law.terms:
         return []
     if law.offset is not None and known.offset is not None:
         wanted[law.offset] = (known.offset, "the whole offset (load, and friction's asymmetry)")
@@ -105,6 +105,42 @@ def propose(
         _change(profile, scaling, name, value, old_raw[name], why)
         for name, (value, why) in wanted.items()
     ]
+
+
+@dataclass(frozen=True, slots=True)
+class HostTerms:
+    """What a master adds in every cycle: offset + coulomb * sign(v), SI at the axis and as the drive counts.
+
+    Attributes
+    ----------
+    parameter, address : of the torque offset
+    offset, coulomb : N.m or N
+    offset_raw, coulomb_raw : steps of the drive, `raw_unit` each
+    """
+
+    parameter: str
+    address: str
+    offset: float
+    coulomb: float
+    unit: str
+    offset_raw: int
+    coulomb_raw: int
+    raw_unit: str
+
+
+def host_terms(
+    profile: Profile, scaling: Scaling, known: Known, fraction: float = DEFAULT_FRACTION
+) -> HostTerms | None:
+    """What the master of a drive without a compensation of its own adds; None: that is not this drive."""
+    name = profile.compensation.host
+    if name is None:
+        return None
+    parameter = profile.parameters[name]
+    offset, coulomb = known.offset or 0.0, fraction * known.coulomb
+    return HostTerms(
+        name, str(parameter.address), offset, coulomb, scaling.unit_text(parameter),
+        scaling.to_raw(parameter, offset), scaling.to_raw(parameter, coulomb), scaling.raw_unit(parameter),
+    )  # fmt: skip
 
 
 def _change(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from commissioning.journal import Intent, Journal, Kind
@@ -74,6 +76,27 @@ class Settings:
                 f"'{parameter}': the step from {old} to {new} is larger than the "
                 f"{described.largest_step} that profile '{self._drive.profile.name}' allows at once"
             )
+
+    @contextmanager
+    def exclusive_access(self) -> Generator[None]:
+        """Other masters locked out of the drive, where it can; raises WriteFailed."""
+        error: BaseException | None = None
+        lock = self._drive.exclusive_access()
+        try:
+            for name, raw in lock.items():
+                self.write("experiment", name, raw)
+            yield
+        except BaseException as failure:
+            error = failure
+            raise
+        finally:
+            outcome = self.restore() if lock else Restored()
+            if not outcome.complete:
+                text = f"other masters are still locked out of the drive: {outcome}"
+                if error is None:
+                    raise WriteFailed(text)
+                if isinstance(error, TwoRelayError):
+                    error.args = (f"{error}; {text}",)
 
     def restore(self) -> Restored:
         """Put back everything that was set for the experiment; never raises on the way."""

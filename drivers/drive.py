@@ -81,6 +81,9 @@ class Drive(Protocol):
     def check_requirements(self) -> None:
         """Look whether the drive is set up as its profile requires; raises PreflightRefused."""
 
+    def exclusive_access(self) -> dict[str, int]:
+        """Raw value of the parameter that locks other masters out, where the drive has one."""
+
     def preparations(self, mode: Mode) -> dict[str, int]:
         """Raw value of each parameter that `mode` needs set before it is enabled."""
 

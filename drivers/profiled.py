@@ -11,6 +11,7 @@ from drivers.sample import Sample
 from drivers.scaling import Scaling
 from profiles.axis import Axis
 from profiles.errors import (
+    AccessDenied,
     PreflightRefused,
     TwoRelayError,
     UnknownName,
@@ -203,10 +204,27 @@ class ProfiledDrive:
             settings[watchdog.reaction] = watchdog.reaction_raw
         return settings
 
+    def exclusive_access(self) -> dict[str, int]:
+        """Raw value of the parameter that locks other masters out, where the drive has one."""
+        lock = self.profile.exclusive
+        return {lock.write: lock.raw} if lock and lock.write and lock.raw is not None else {}
+
     def preparations(self, mode: Mode) -> dict[str, int]:
         """Raw value of each parameter that `mode` needs set before it is enabled."""
         steps = self._supported(mode).before
-        return {s.write: s.raw for s in steps if s.write is not None and s.raw is not None}
+        found = self.exclusive_access()
+        found |= {s.write: s.raw for s in steps if s.write is not None and s.raw is not None}
+        host = self.profile.compensation.host
+        if host is not None and self._is_set(host):
+            found[host] = 0  # it would act on top of every command
+        return found
+
+    def _is_set(self, name: str) -> bool:
+        """Whether an object that not every drive has is there, and not zero."""
+        try:
+            return self.read_raw(name) != 0
+        except AccessDenied:
+            return False
 
     def check_requirements(self) -> None:
         """Read what the profile requires of the drive; raises PreflightRefused, and writes nothing."""

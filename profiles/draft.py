@@ -170,6 +170,9 @@ def _without_what_is_missing(document: TOMLDocument, eds: Eds) -> list[str]:
         if not has(name):
             del limits[key]
             notes.append(f"no {key} limit in the drive ({name}): only the host limits it")
+    if not has("torque_offset"):
+        document["compensation"] = {"law": "none"}
+        notes.append("no 60B2h that can be written: friction cannot be compensated, only reported")
     if not has("store_command"):
         document.remove("store")
         notes.append("no 1010h:1: what is written is lost at power-off")

@@ -80,6 +80,9 @@ def _extended(tree: dict[str, Any], origin: str) -> dict[str, Any]:
             raise ProfileError(f"{origin}: without '{name}', which '{base}' does not have")
         for table in tables:
             del table[name]
+    law = tree.get("compensation")
+    if isinstance(law, dict) and "law" in law:  # it replaces the other one whole
+        below.pop("compensation", None)
     return _merged(below, tree)
 
 
@@ -169,7 +172,7 @@ def check(profile: Profile) -> list[Finding]:
         )
         if profile.parameters[name].trust == "unverified"
     ]
-    if profile.compensation.law != "none":
+    if profile.compensation.terms:
         if not profile.compensation.acts_in:
             found.append(Finding("error", "[compensation] acts in no mode"))
         elif set(profile.compensation.acts_in) == {"torque"}:

@@ -410,6 +410,7 @@ class CompensationLaw(StrEnum):
     SINGLE_GAIN           T = F * sign(v)
     SATURATED_LINEAR      T = F * clip(v / v0, -1, 1)
     COULOMB_VISCOUS       T = offset + F+ or F- by direction + B * v
+    HOST                  nothing in the drive: the master adds T = offset + F * sign(v) in every cycle
     """
 
     NONE = "none"
@@ -417,11 +418,13 @@ class CompensationLaw(StrEnum):
     SINGLE_GAIN = "single-gain"
     SATURATED_LINEAR = "saturated-linear"
     COULOMB_VISCOUS = "coulomb+viscous"
+    HOST = "host"
 
 
 LAW_TERMS: dict[CompensationLaw, tuple[frozenset[str], frozenset[str]]] = {
     # law: (terms it must have, terms it may have)
     CompensationLaw.NONE: (frozenset(), frozenset()),
+    CompensationLaw.HOST: (frozenset(), frozenset()),
     CompensationLaw.OFFSET_ASYMMETRIC: (frozenset({"positive", "negative"}), frozenset({"offset"})),
     CompensationLaw.SINGLE_GAIN: (frozenset({"gain"}), frozenset({"offset"})),
     CompensationLaw.SATURATED_LINEAR: (frozenset({"gain", "speed"}), frozenset({"offset"})),
@@ -436,7 +439,8 @@ class Compensation(_Strict):
     """Where the friction compensation of the drive is written.
 
     The terms name parameters. `negative_sign` is the sign with which the drive stores the
-    compensation of the negative direction. `acts_in` lists the modes in which it has an effect.
+    compensation of the negative direction. `acts_in` lists the modes in which it has an effect. `host`
+    names the torque offset that a master writes in every cycle (60B2h); tworelay never leaves one behind.
     """
 
     law: CompensationLaw
@@ -446,6 +450,7 @@ class Compensation(_Strict):
     gain: str | None = None
     speed: str | None = None
     viscous: str | None = None
+    host: str | None = None
     negative_sign: Literal[-1, 1] = 1
     acts_in: tuple[Mode, ...] = (Mode.POSITION,)
     note: str = ""  # what a technician has to know before it is written
@@ -464,6 +469,8 @@ class Compensation(_Strict):
             raise ValueError(f"law '{self.law}' needs {', '.join(sorted(missing))}")
         if extra := there - must - may:
             raise ValueError(f"law '{self.law}' has no {', '.join(sorted(extra))}")
+        if (self.law is CompensationLaw.HOST) != (self.host is not None):
+            raise ValueError("law 'host' names the torque offset as host, and no other law does")
         return self
 
 
@@ -495,6 +502,7 @@ class LoopGains(_Strict):
         return self
 
 
+_FACTORY_VALUES = 0x1011  # CiA 301: restore default parameters
 _GAIN_UNITS = {
     "velocity_gain": Unit.RATED_TORQUE_PER_SPEED,
     "integral_time": Unit.SECOND,
@@ -529,6 +537,7 @@ class Profile(_Strict):
     disable: tuple[Step, ...]  # takes the energy away; likewise
     stop_time: Annotated[float, Field(gt=0)] = 1.0  # s, from `stop` to rest, brake closed
     requires: tuple[Condition, ...] = ()  # looked at before anything is written
+    exclusive: Step | None = None  # locks other masters out: written first, put back last
     limits: dict[Literal["torque", "speed"], str] = {}
     watchdog: Watchdog
     brake: Brake = Brake()
@@ -589,6 +598,23 @@ class Profile(_Strict):
 
     @model_validator(mode="after")
     def _check_protection(self) -> Self:
+        held = [
+            name
+            for name in (self.compensation.host, self.exclusive and self.exclusive.write)
+            if name
+        ]
+        for name in held:
+            if self.parameters[name].protection is not Protection.EXPERIMENT:
+                raise ValueError(f"[parameters.{name}] must have protection 'experiment'")
+        if self.exclusive is not None and self.exclusive.write is None:
+            raise ValueError("[exclusive] is a write: { write, raw }")
+        for name, parameter in self.parameters.items():
+            index = getattr(parameter.address, "index", None)
+            if index == _FACTORY_VALUES and parameter.protection is not Protection.READ:
+                raise ValueError(
+                    f"[parameters.{name}] is 1011h, which restores factory values and forgets the motor: it "
+                    "must have protection 'read'"
+                )
         for name in self.compensation.terms.values():
             if self.parameters[name].protection is not Protection.COMPENSATION:
                 raise ValueError(f"[parameters.{name}] must have protection 'compensation'")
@@ -605,6 +631,7 @@ class Profile(_Strict):
             ("disable", step) for step in self.disable
         ]
         found += [("store", step) for step in (self.store.steps if self.store else ())]
+        found += [("exclusive", self.exclusive)] if self.exclusive else []
         if self.power is not None:
             found += [("power", step) for step in (*self.power.enable, *self.power.reset)]
         for mode, codes in self.modes.items():
@@ -616,6 +643,7 @@ class Profile(_Strict):
         for mode, codes in self.modes.items():
             found += [(f"modes.{mode}", code.set_point) for code in codes]
         found += [("compensation", name) for name in self.compensation.terms.values()]
+        found += [("compensation", self.compensation.host)] if self.compensation.host else []
         found += [("limits", name) for name in self.limits.values()]
         if self.loops is not None:
             found += [("loops", name) for name in self.loops.terms.values()]

@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from commissioning.cli.terminal import Screen, check_json, job_options, write_json
+from commissioning.report.words import host_law
 
 __all__ = ["command"]
 
@@ -29,7 +30,7 @@ def command(target: str, **arguments: Any) -> None:
         if result["compensation"]:
             result = write(result["run"], None, screen, arguments["json_target"])
         else:
-            screen.say("this drive has no friction compensation to write to")
+            screen.say(host_law(result["host_compensation"]))
         screen.say(f"report {write_report(result['run'], None)}")
         screen.say(f"run {result['run']}")
     write_json(result, arguments["json_target"])

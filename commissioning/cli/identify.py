@@ -16,6 +16,7 @@ from commissioning.cli.terminal import (
     options_from,
     write_json,
 )
+from commissioning.report.words import host_law
 from profiles.errors import UsageError
 
 __all__ = ["command", "measure"]
@@ -39,7 +40,7 @@ def command(target: str, **arguments: Any) -> None:
         show.proposal(result["compensation"], screen)
         screen.say(f"to write it: tworelay apply {result['run']}")
     else:
-        screen.say("this drive has no friction compensation to write to: identify and report only")
+        screen.say(host_law(result["host_compensation"]))
     screen.say(f"run {result['run']}")
 
 

@@ -6,7 +6,7 @@ import time
 from importlib.resources import files
 from typing import Any
 
-from commissioning.report.words import GAINS, duration
+from commissioning.report.words import GAINS, duration, host_law
 from commissioning.runs import Samples
 from profiles.errors import UsageError
 
@@ -54,6 +54,7 @@ def _render(result: dict[str, Any], samples: Samples | None, journal: dict[str, 
     )
     environment.filters["si"] = _si
     environment.filters["seconds"] = duration
+    environment.filters["host_law"] = host_law
     environment.filters["brief"] = lambda value: "–" if value is None else f"{value:.3g}"
     environment.tests["search"] = lambda text, part: part in text
     environment.globals["gain_names"] = GAINS

@@ -185,26 +185,13 @@ def _write(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted]) -> None
     """RAM first, each read back; then store once; then read everything again."""
     settings = Settings(desk.journal, run_id, drive)
     try:
-        for item in wanted:
-            if desk.interruption.hurried():
-                desk.interruption.check()
-            if settings.write(item.kind, item.parameter, item.new):
-                desk.tell(f"{item.parameter}: {item.old} → {item.new}, read back")
-        if drive.profile.store is None:
-            desk.tell(
-                f"profile '{drive.profile.name}' has no store procedure: the values are lost at "
-                "power-off"
-            )
-        else:
-            drive.store()
-            desk.journal.note(run_id, STORED)
+        with settings.exclusive_access():
             for item in wanted:
-                there = drive.read_raw(item.parameter)
-                if there != item.new:
-                    raise WriteFailed(
-                        f"'{item.parameter}' reads {there} after the store, not {item.new}"
-                    )
-            desk.tell("stored in the drive's non-volatile memory, read back again")
+                if desk.interruption.hurried():
+                    desk.interruption.check()
+                if settings.write(item.kind, item.parameter, item.new):
+                    desk.tell(f"{item.parameter}: {item.old} → {item.new}, read back")
+            _store(drive, desk, run_id, wanted)
     except TwoRelayError as error:
         text = (
             f"{error}; what was written so far is in the journal: 'tworelay restore {run_id}' puts "
@@ -212,6 +199,22 @@ def _write(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted]) -> None
         )
         error.args = (text,)
         raise
+
+
+def _store(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted]) -> None:
+    """Store, and see that the values are still there; raises WriteFailed."""
+    if drive.profile.store is None:
+        desk.tell(
+            f"profile '{drive.profile.name}' has no store procedure: the values are lost at power-off"
+        )
+        return
+    drive.store()
+    desk.journal.note(run_id, STORED)
+    for item in wanted:
+        there = drive.read_raw(item.parameter)
+        if there != item.new:
+            raise WriteFailed(f"'{item.parameter}' reads {there} after the store, not {item.new}")
+    desk.tell("stored in the drive's non-volatile memory, read back again")
 
 
 def restore(run: str | None, link: str | None, desk: Desk, *, force: bool) -> Restored:
@@ -235,12 +238,14 @@ def restore(run: str | None, link: str | None, desk: Desk, *, force: bool) -> Re
             raise PreflightRefused(
                 "the drive is enabled: 'tworelay stop' makes it safe, then restore"
             )
-        outcome = put_back(drive, intents, force=force)
-        written = any(intent.kind != "experiment" for intent in intents)
-        if written and drive.profile.store is not None:
-            drive.store()  # until then the old values are not safe, so the intents stay open
-            desk.journal.note(run_id, "restored and stored")
-        settle(desk.journal, intents, outcome)
+        settings = Settings(desk.journal, run_id, drive)
+        with settings.exclusive_access():
+            outcome = put_back(drive, intents, force=force)
+            written = any(intent.kind != "experiment" for intent in intents)
+            if written and drive.profile.store is not None:
+                drive.store()  # until then the old values are not safe, so the intents stay open
+                desk.journal.note(run_id, "restored and stored")
+            settle(desk.journal, intents, outcome)
     if not outcome.complete:
         raise WriteFailed(f"restore of run {run_id} is incomplete: {outcome}")
     return outcome

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from commissioning.compensation import Change, Known, propose
+from commissioning.compensation import Change, Known, host_terms, propose
 from commissioning.identification.critical_point import (
     CriticalPoint,
     corrected,
@@ -49,7 +49,6 @@ from drivers.drive import Drive
 from profiles.axis import Axis
 from profiles.errors import MeasurementRejected, TwoRelayError, WriteFailed
 from profiles.library import digest, source_text
-from profiles.schema import CompensationLaw
 
 __all__ = ["Failure", "identify"]
 
@@ -127,8 +126,11 @@ def _identify(
             _fill(result, measured, job, drive, options)
         except ValueError as error:  # a limit cycle that no relay makes
             raise MeasurementRejected(f"the oscillations contradict themselves: {error}") from None
-        changes = _proposal(drive, measured, options.fraction, result["quality"]["reasons"])
+        known = _known(measured)
+        changes = _proposal(drive, known, options.fraction, result["quality"]["reasons"])
         result["compensation"] = changes_json(changes)
+        added = host_terms(drive.profile, drive.scaling, known, options.fraction)
+        result["host_compensation"] = asdict(added) if added else None
         result["status"] = "completed"
     except TwoRelayError as error:
         result["friction"] = blank(axis, drive.link, drive.profile, identity)["friction"]
@@ -338,21 +340,22 @@ def _experiment(recorder: Recorder, cycle: float, periods: int) -> dict[str, Any
     }
 
 
-def _proposal(
-    drive: Drive, measured: Measured, fraction: float, reasons: list[str]
-) -> list[Change]:
-    """What would be written; what the drive cannot hold goes into `reasons` instead."""
-    law = drive.profile.compensation
-    if law.law is CompensationLaw.NONE:
-        return []
-    old = {name: drive.read_raw(name) for name in law.terms.values()}
+def _known(measured: Measured) -> Known:
     viscous = measured.estimate("viscous")
-    known = Known(
+    return Known(
         measured.found.coulomb.value,
         measured.found.offset.value,
         viscous.value if viscous else None,
         viscous.half_width if viscous else 0.0,
     )
+
+
+def _proposal(drive: Drive, known: Known, fraction: float, reasons: list[str]) -> list[Change]:
+    """What would be written; what the drive cannot hold goes into `reasons` instead."""
+    law = drive.profile.compensation
+    if not law.terms:
+        return []
+    old = {name: drive.read_raw(name) for name in law.terms.values()}
     for attempt in (known, replace(known, viscous=None)):
         try:
             return propose(drive.profile, drive.scaling, attempt, old, fraction)

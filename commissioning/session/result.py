@@ -71,6 +71,7 @@ def blank(axis: Axis, link: str | None, profile: Profile | None, identity: Ident
         "critical_point": None,
         "tuning": [],
         "compensation": [],
+        "host_compensation": None,
         "experiment": None,
         "quality": {"verdict": "rejected", "reasons": []},
     }

@@ -16,7 +16,7 @@ from drivers.virtual.objects import MODES
 from drivers.virtual.registers import CLOCK, Layout, RegisterMap
 from drivers.virtual.switchgear import Switchgear
 from profiles.errors import UsageError
-from profiles.schema import CanopenAddress, CompensationLaw, ModbusAddress, Parameter, Profile, Unit
+from profiles.schema import CanopenAddress, ModbusAddress, Parameter, Profile, Unit
 
 __all__ = ["modbus_twin", "twin"]
 
@@ -158,7 +158,7 @@ def _compensation(profile: Profile) -> dict[str, tuple[str, ...]]:
         law.offset: ("torque_offset",), law.positive: both[:1], law.negative: both[1:],
         law.gain: both, law.speed: ("coulomb_speed",), law.viscous: ("viscous_gain",),
     }  # fmt: skip
-    if law.law is CompensationLaw.NONE:
+    if not law.terms:
         return {}
     return {name: keys for name, keys in named.items() if name is not None}
 

@@ -8,7 +8,9 @@ from pathlib import Path
 import canopen
 import pytest
 
-from drivers.link import modbus_wire, open_drive, parse
+from commissioning.journal import Intent, Journal
+from drivers.home import home
+from drivers.link import axis_of, modbus_wire, open_drive, parse
 from drivers.modbus.client import Client
 from profiles.axis import load_axis
 from profiles.library import builtin_names, load_profile
@@ -113,6 +115,46 @@ def test_the_ax2000_gets_a_current_and_is_told_what_else_it_needs(
     again = tmp_path / "again"
     assert tworelay("export", "last", str(again)).returncode == 0
     assert not (again / "changes.dcf").exists()  # nothing is changed any more
+
+
+def test_a_drive_without_a_compensation_says_what_its_master_adds(
+    serve: Serve, tworelay: Tworelay
+) -> None:
+    link = served(serve, "elmo-gold")
+    before = open_drive(axis_of(link).model_copy(update={"profile": "elmo-gold"}))
+    before.write_raw("torque_offset", 40)  # a master that is off has left it there
+    before.close()
+    done = tworelay("identify", link, "--travel", "30", "--yes")
+    assert done.returncode == 0, done.stderr
+    # 85 % of 0.1 N.m, at 1 N.m rated, in per mille
+    assert "torque_offset (60B2h:00) in every cycle +0 +85 * sign(velocity command)" in done.stdout
+    after = open_drive(axis_of(link).model_copy(update={"profile": "elmo-gold"}))
+    assert after.read_raw("torque_offset") == 40
+    after.close()
+    done = tworelay("apply", "last", "--yes")
+    assert done.returncode == 3
+    assert "no friction compensation to write to" in done.stderr
+    (intent,) = [i for i in intents_of_last_run() if i.parameter == "torque_offset"]
+    assert (intent.old, intent.new, intent.state) == (40, 0, "restored")
+
+
+def intents_of_last_run() -> list[Intent]:
+    with Journal(home()) as journal:
+        return journal.intents(journal.run("last").id)
+
+
+def test_other_masters_are_locked_out_of_a_lexium_while_it_is_written(
+    serve: Serve, tworelay: Tworelay, tmp_path: Path
+) -> None:
+    link = served(serve, "lexium-32-modbus", "--set", f"inertia={SLOW}")
+    axis = axis_file(tmp_path, link, "lexium-32-modbus")
+    assert tworelay("identify", axis, "--yes").returncode == 0
+    intents = intents_of_last_run()
+    assert intents[0].parameter == "access_lock"  # first, and put back last
+    assert {i.state for i in intents} == {"restored"}
+    drive = open_drive(load_axis(Path(axis)))
+    assert drive.read_raw("access_lock") == 0
+    drive.close()
 
 
 def test_an_unverified_address_is_not_written(serve: Serve, tworelay: Tworelay) -> None:

@@ -33,7 +33,7 @@ REACTIONS = [
 ]
 TORQUE_LIMIT = [("max_torque", 1000, "2B 72 60 00 E8 03 00 00")]
 FRAMES: dict[str, list[tuple[str, int, str]]] = {
-    "cia402": [*STANDARD, *REACTIONS, *TORQUE_LIMIT],
+    "cia402": [*STANDARD, *REACTIONS, *TORQUE_LIMIT, ("torque_offset", -5, "2B B2 60 00 FB FF 00 00")],
     # Elmo Gold DCF: 6087h up to 10 000 000
     "elmo-gold": [
         *STANDARD, *REACTIONS, *TORQUE_LIMIT,
@@ -44,6 +44,7 @@ FRAMES: dict[str, list[tuple[str, int, str]]] = {
     # Everest XCR EDS: 6072h U16, 6087h U32, no 1016h, 6007h, 605Ah
     "ingenia-everest": [
         *STANDARD, *TORQUE_LIMIT, ("torque_slope", 10000, "23 87 60 00 10 27 00 00"),
+        ("torque_offset", -5, "23 B2 60 00 FB FF FF FF"),  # 60B2h is I32 here
     ],
     # AKD parameter guide: IL.FRICTION 3422h, IL.OFFSET 3423h, both sub 0
     "kollmorgen-akd": [

@@ -45,6 +45,7 @@ FRAMES: dict[str, list[tuple[str, int | None, str]]] = {
         ("torque_target", 250, "10 1B 20 00 02 04 00 00 00 FA"),  # 6944
         ("torque_target", -250, "10 1B 20 00 02 04 FF FF FF 06"),
         ("torque_ramp", 0, "10 06 58 00 02 04 00 00 00 00"),  # 1624
+        ("access_lock", 1, "10 01 3C 00 02 04 00 00 00 01"),  # index 1, sub 30
         ("friction", 170, "10 12 20 00 02 04 00 00 00 AA"),  # 4640
         ("friction_speed", 5, "10 11 12 00 02 04 00 00 00 05"),  # 4370
         ("max_current", 600, "10 11 18 00 02 04 00 00 02 58"),  # 4376

@@ -271,7 +271,8 @@ def _open_canopen(
     from drivers.canopen.wire import CanWire
 
     timeout = _timeout(link, profile)
-    wire = CanWire(open_can(link, profile), node, timeout, trace)
+    awaits_sync = link.options.get("sync") == "bus"
+    wire = CanWire(open_can(link, profile), node, timeout, trace, awaits_sync=awaits_sync)
     try:
         chosen = _armed_with(_agree(identify(wire), "canopen", profile), axis)
         return CanopenBus(wire, chosen, _pace(link, cycle or chosen.link.cycle)), chosen
@@ -301,7 +302,14 @@ def stored_eds(text: str) -> bytes:
 
 def open_can(link: Link, profile: Profile | None = None) -> Any:
     """The CAN adapter that a LINK names, as python-can has it; raises UsageError, LinkError."""
-    _only(link, {"node", "bitrate", "timeout", "clock"})
+    _only(link, {"node", "bitrate", "timeout", "clock", "sync"})
+    if link.options.get("sync", "own") not in ("own", "bus") or (
+        "sync" in link.options and link.options.get("clock") == "step"
+    ):
+        raise UsageError(
+            f"{link.text}: sync is own (tworelay produces SYNC) or bus (another device does), and "
+            "goes without clock=step"
+        )
     interface, slash, channel = link.place.partition("/")
     if not slash or not channel:
         raise UsageError(

@@ -66,7 +66,7 @@ def look(drive: Drive, axis: Axis) -> None:
     if other:
         raise PreflightRefused(
             f"another master is on the bus ({other} was heard): two masters move an axis against "
-            "each other; disconnect it or stop its program"
+            "each other; disconnect it or stop its program (if it only produces SYNC: sync=bus in the link)"
         )
     drive.check_requirements()
     drive.preparations(Mode.TORQUE)  # refuses a drive without torque mode

@@ -10,7 +10,14 @@ from drivers.canopen.wire import SYNC, CanWire
 from drivers.drive import Exchange
 from drivers.pace import Pace
 from drivers.stepping import set_simulation
-from profiles.errors import AccessDenied, LinkError, LinkLost, ProfileError, TwoRelayError
+from profiles.errors import (
+    AccessDenied,
+    LinkError,
+    LinkLost,
+    PreflightRefused,
+    ProfileError,
+    TwoRelayError,
+)
 from profiles.schema import WIDTH_BITS, Address, CanopenAddress, Identity, Profile
 
 __all__ = ["CanopenBus", "identify"]
@@ -23,6 +30,9 @@ _STATE_OPERATIONAL = 0x05
 _STATES = {0x00: "booting", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 _HEARTBEAT_EVERY = 100  # ms, asked of a node that has none
 _HEARTBEATS_MISSED = 3
+_SYNCS_LOOKED_AT = 20
+_SYNC_PATIENCE = 1.0  # s
+_SYNC_TOLERANCE = 0.1  # of the cycle
 _PDO_OFF = 1 << 31
 _PDO_FLAGS = 3 << 29  # no RTR, 29-bit frame: the drive's own
 _EVENT_DRIVEN = 255
@@ -122,6 +132,8 @@ class CanopenBus:
         self._idle = idle
         if self._running:
             return
+        if self._wire.awaits_sync:
+            self._check_sync()
         self._wire.nmt(NMT_PRE_OPERATIONAL)
         self._map(self._rpdo, self._out, _EVENT_DRIVEN, 0x100 + 0x100 * self._profile.cycle.rpdo)
         self._map(self._tpdo, self._in, _EVERY_SYNC, 0x80 + 0x100 * self._profile.cycle.tpdo)
@@ -132,6 +144,24 @@ class CanopenBus:
         self._wire.restarted = False
         self._wire.heard_at = perf_counter()
         self._running = True
+
+    def _check_sync(self) -> None:
+        """See that SYNC comes as often as the cycle says; raises PreflightRefused."""
+        wire, begins = self._wire, []
+        for _ in range(_SYNCS_LOOKED_AT):
+            wire.syncs = 0
+            if not wire.await_sync(max(_SYNC_PATIENCE, 3 * self.cycle)):
+                raise PreflightRefused(
+                    f"no SYNC on the bus within {_SYNC_PATIENCE:g} s: is its producer on? Without "
+                    "sync=bus in the link, tworelay produces it"
+                )
+            begins.append(perf_counter())
+        period = (begins[-1] - begins[0]) / (len(begins) - 1)
+        if abs(period - self.cycle) > _SYNC_TOLERANCE * self.cycle:
+            raise PreflightRefused(
+                f"SYNC comes every {period * 1000:.3g} ms and the cycle is {self.cycle * 1000:g} ms: give "
+                f"--cycle {round(period, 4):g}"
+            )
 
     def _ask_for_heartbeat(self) -> None:
         """See that the node produces a heartbeat (1017h); one without it is known by its TPDO only."""
@@ -205,26 +235,36 @@ class CanopenBus:
         wire, pace = self._wire, self._pace
         payload = self._out_format.pack(*values)
         missed = 0
+        if wire.awaits_sync:
+            wire.drain()
+            missed, wire.syncs = wire.syncs, 0  # those that nobody was there for
+        lost = 0
         while True:
             wire.send(self._rpdo.cob_id, payload)
             sent = pace.now()
             if self._heartbeat is not None and sent >= self._heartbeat_due:
                 wire.send(self._heartbeat, bytes((_STATE_OPERATIONAL,)))
                 self._heartbeat_due = sent + self._heartbeat_every
-            lateness = pace.next_deadline()
-            wire.drain()
-            self._supervise()
-            time = pace.now()
-            wire.send(SYNC, b"")
+            if wire.awaits_sync:
+                self._supervise()
+                wire.await_sync(self._deadline)
+                lateness, time = missed * self.cycle, pace.now()
+                wire.syncs = 0
+            else:
+                lateness = pace.next_deadline()
+                wire.drain()
+                self._supervise()
+                time = pace.now()
+                wire.send(SYNC, b"")
             data = wire.take_tpdo(self._deadline)
             if data is not None and len(data) >= self._in_format.size:
                 return Exchange(
                     self._in_format.unpack_from(data), values, sent, time, lateness, missed
                 )
-            missed += 1
-            if missed >= MISSED_CYCLES:
+            missed, lost = missed + 1, lost + 1
+            if lost >= MISSED_CYCLES:
                 raise LinkLost(
-                    f"no TPDO from node {wire.node} for {missed} cycles of "
+                    f"no TPDO from node {wire.node} for {lost} cycles of "
                     f"{self.cycle * 1000:g} ms: the link is lost{self._last_word()}"
                 )
 

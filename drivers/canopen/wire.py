@@ -139,20 +139,30 @@ class CanWire:
     restarted : the node said that it has booted, since this was last set to False
     bus_trouble : what the adapter last said of the bus, for people; '' when it is well
     foreign_master : COB-ID of a frame that only another master would send, or None
+    syncs : SYNC messages of another producer, since this was last set to 0
+    awaits_sync : another device of the bus produces SYNC, and so paces the cycle
     garbled : frames that could not be read
     error_frames : that the adapter reported
     """
 
     def __init__(
-        self, bus: can.BusABC, node: int, timeout: float, trace: Trace | None = None
+        self,
+        bus: can.BusABC,
+        node: int,
+        timeout: float,
+        trace: Trace | None = None,
+        *,
+        awaits_sync: bool = False,
     ) -> None:
         self.node = node
+        self.awaits_sync = awaits_sync
         self.emergency: tuple[int, int] | None = None
         self.heartbeat_state: int | None = None
         self.heard_at = 0.0
         self.restarted = False
         self.bus_trouble = ""
         self.foreign_master: int | None = None
+        self.syncs = 0
         self.garbled = 0
         self.error_frames = 0
         self._bus = bus
@@ -204,8 +214,12 @@ class CanWire:
         if message.is_error_frame:
             self.error_frames += 1
             self.bus_trouble = bus_state.words(cob_id, data)
-        if message.is_error_frame or message.is_extended_id or message.is_remote_frame:
-            return True
+        if not (message.is_error_frame or message.is_extended_id or message.is_remote_frame):
+            self._sort(cob_id, data)
+        return True
+
+    def _sort(self, cob_id: int, data: bytes) -> None:
+        """One data frame to whom it is for."""
         if cob_id == self._tpdo_id:
             self._tpdo = data
         elif cob_id == self._sdo.tx_cobid:
@@ -220,9 +234,10 @@ class CanWire:
             self.heartbeat_state = data[0] & 0x7F
             self.heard_at = time.perf_counter()
             self.restarted = self.restarted or self.heartbeat_state == BOOT_UP
+        elif cob_id == SYNC and self.awaits_sync:
+            self.syncs += 1
         elif cob_id in (NMT, SYNC, 0x200 + self.node, 0x600 + self.node):
             self.foreign_master = cob_id
-        return True
 
     def _skip_line(self) -> None:
         """Forget a corrupt line of a serial adapter, which python-can keeps; the next one is good again."""
@@ -241,6 +256,10 @@ class CanWire:
             if not self.pump(left) and left > 0.002:
                 time.sleep(0.0002)  # a dead adapter returns at once, and for ever
         return True
+
+    def await_sync(self, timeout: float) -> bool:
+        """Wait for another producer's SYNC, at most `timeout` s; False: it did not come."""
+        return self.pump_until(lambda: self.syncs > 0, timeout)
 
     # -- PDO -------------------------------------------------------------------------------------
 

@@ -68,7 +68,11 @@ def test_a_torque_drive_becomes_a_profile(name: str, tworelay: Tworelay, tmp_pat
     profile = load_profile(str(target))
     assert (profile.identity.vendor, profile.identity.product) == USABLE[name]
     assert profile.modes[Mode.TORQUE]
-    has_offset = name.split("__")[0] in ("elmo", "ingenia", "maxon")  # 60B2h is in their files
+    has_offset = name.split("__", maxsplit=1)[0] in (
+        "elmo",
+        "ingenia",
+        "maxon",
+    )  # 60B2h is in their files
     assert profile.compensation.law == ("host" if has_offset else "none")
     assert not [f for f in check(profile) if f.severity == "error"]
 

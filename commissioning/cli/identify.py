@@ -47,7 +47,8 @@ def command(target: str, **arguments: Any) -> None:
 def measure(target: str, screen: Screen, arguments: dict[str, Any]) -> dict[str, Any]:
     """Run the experiments; on failure write the JSON too, then raise."""
     from commissioning.cli.tracing import tracer
-    from commissioning.session.identify import Failure, identify
+    from commissioning.session.armed import Failure
+    from commissioning.session.identify import identify
 
     axis = axis_from(target, arguments["profile"])
     if arguments["watchdog"] is not None:

@@ -8,11 +8,12 @@ from typing import Any
 import click
 
 from commissioning.cli.options import verbose
-from commissioning.cli.terminal import Screen, at_desk, axis_from
+from commissioning.cli.terminal import Finite, Screen, at_desk, axis_from, travel_from
 
 __all__ = ["command"]
 
 _BARS, _WIDTH = 12, 40
+_LEAST_CYCLE = 1e-3  # s, of the experiment
 
 
 @click.command("latency")
@@ -20,20 +21,44 @@ _BARS, _WIDTH = 12, 40
 @click.option("--profile", metavar="P", help="Drive profile: a built-in name or a file.")
 @click.option("--count", type=click.IntRange(50, 100_000), default=500, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@click.option("--move", is_flag=True, help="MOVE the axis: how late a torque acts, by small steps.")
+@click.option("--travel", metavar="±X", help="With --move: room about the present position.")
+@click.option("--max-torque", type=Finite(0, min_open=True), help="With --move: N.m or N.")
+@click.option("--max-speed", type=Finite(0, min_open=True), help="With --move: rad/s or m/s.")
+@click.option("--without-watchdog", is_flag=True, help="With --move: as in identify.")
+@click.option("--yes", is_flag=True, help="With --move: confirm in advance.")
 @verbose
-def command(target: str, profile: str | None, count: int, as_json: bool) -> None:
+def command(
+    target: str,
+    profile: str | None,
+    count: int,
+    as_json: bool,
+    move: bool,
+    yes: bool,
+    **limits: Any,
+) -> None:
     """Round trip and cycle of a link, the fastest cycle that it holds, and what that means.
 
-    The drive stays de-energised and every output at zero.
+    The drive stays de-energised and every output at zero, unless --move asks for the dead time, too.
     """
     import numpy as np
 
-    from commissioning.session.latency import latency
+    from commissioning.session.armed import Failure
+    from commissioning.session.desk import Options
+    from commissioning.session.latency import dead_time, latency
 
-    screen = Screen("-" if as_json else None, yes=True)
+    screen = Screen("-" if as_json else None, yes=yes)
     axis = axis_from(target, profile)
+    limits["travel"] = travel_from(limits["travel"])
+    late: dict[str, Any] | None = None
     with at_desk(screen) as desk, screen.working("measuring"):
         found = latency(axis, count, desk)
+        if move:
+            options = Options(**limits, cycle=max(found.cycle, _LEAST_CYCLE))
+            try:
+                late = dead_time(axis, options, desk)["friction"]["dead_time"]
+            except Failure as failure:
+                raise failure.error from None
     rows = {
         "one read": found.service, "one exchange": found.exchange,
         f"lateness at {found.cycle * 1000:g} ms": found.lateness,
@@ -45,7 +70,7 @@ def command(target: str, profile: str | None, count: int, as_json: bool) -> None
         }
         tree |= {
             "cycle": found.cycle, "late_share": found.late_share, "missed": found.missed,
-            "shortest_period": found.shortest_period,
+            "shortest_period": found.shortest_period, "dead_time": late,
         }  # fmt: skip
         click.echo(json.dumps(tree, indent=1))
         return
@@ -70,6 +95,11 @@ def command(target: str, profile: str | None, count: int, as_json: bool) -> None
         f"at that cycle an oscillation lasts at least {found.shortest_period * 1000:.0f} ms: the shorter it "
         "can be, the less travel an experiment takes"
     )
+    if late is not None:
+        low, high = 1000 * late["low"], 1000 * late["high"]
+        screen.say(
+            f"dead time from command to motion: {1000 * late['value']:.3g} ms ({low:.3g} … {high:.3g} ms)"
+        )
 
 
 def _three(values: Any) -> tuple[float, float, float]:

@@ -243,22 +243,28 @@ def job_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def options_from(arguments: dict[str, Any]) -> Options:
     """The job's options; raises UsageError."""
-    travel = arguments["travel"]
-    if travel is not None:
-        try:
-            travel = float(travel.lstrip("±+"))
-        except ValueError:
-            travel = -1.0
-        if not 0 < travel < float("inf"):
-            raise UsageError(
-                f"--travel {arguments['travel']}: must be a positive number of rad or m, as in "
-                "--travel ±0.5"
-            )
     names = (
         "max_torque", "max_speed", "duration", "fraction", "method", "solver", "repeat",
         "points", "output_filter", "cycle", "without_watchdog", "dry_run",
     )  # fmt: skip
-    return Options(travel=travel, **{name: arguments[name] for name in names})
+    return Options(
+        travel=travel_from(arguments["travel"]), **{name: arguments[name] for name in names}
+    )
+
+
+def travel_from(text: str | None) -> float | None:
+    """±X as the user gives it, rad or m; raises UsageError."""
+    if text is None:
+        return None
+    try:
+        travel = float(text.lstrip("±+"))
+    except ValueError:
+        travel = -1.0
+    if not 0 < travel < float("inf"):
+        raise UsageError(
+            f"--travel {text}: must be a positive number of rad or m, as in --travel ±0.5"
+        )
+    return travel
 
 
 def check_json(target: str | None) -> None:

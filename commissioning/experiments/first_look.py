@@ -24,6 +24,8 @@ _PUSH_TRAVEL = 0.05  # share of the travel that a push may take
 _PUSH_SPEED = 0.3  # share of the speed limit
 _PUSH_TIME = 0.8  # s
 _FEWEST = 5  # samples for a parabola
+STEPS = 10  # pushes that show a dead time; each turns the axis around once
+_STEP = 2.0  # torque of them, in breakaway torques
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +103,13 @@ def first_look(context: Context) -> Plan[FirstLook]:
         torque = direction * min(max(hard, _HARDER * gentle) * breakaway, most)
         pushes.append((yield from push(context, offset, torque)))
     return _evaluate(context, breakaway, offset, pushes)
+
+
+def torque_steps(context: Context, known: FirstLook) -> Plan[None]:
+    """Pushes both ways, as many as modulating functions want reversals."""
+    torque = min(_STEP * known.breakaway, context.torque - abs(known.offset))
+    for n in range(STEPS):
+        yield from push(context, known.offset, torque if n % 2 == 0 else -torque)
 
 
 def _evaluate(context: Context, breakaway: float, offset: float, pushes: list[Push]) -> FirstLook:

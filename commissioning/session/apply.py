@@ -76,11 +76,11 @@ def apply(
     tuned = _gains(result, gains) if gains is not None else None
     proposal = [*result["compensation"], *(_gain_changes(tuned) if tuned else ())]
     if result["status"] != "completed" or not proposal:
-        reason = (
-            f"its status is '{result['status']}'"
-            if result["status"] != "completed"
-            else "its drive has no friction compensation to write to"
-        )
+        reason = "its drive has no friction compensation to write to"
+        if result["status"] != "completed":
+            reason = f"its status is '{result['status']}'"
+        elif result["friction"]["coulomb"]["value"] is None:
+            reason = "it measured no friction"
         raise Refused(f"run {run_id} proposes nothing: {reason}")
     axis = axis_of_run(record, folder, link)
     with connect(axis, None, desk) as drive:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import asdict, replace
 from itertools import pairwise
 from typing import Any
@@ -24,19 +23,12 @@ from commissioning.identification.verdict import (
     torque_gain,
 )
 from commissioning.runner import Recorder
-from commissioning.runs import RunFolder, Samples
-from commissioning.session.desk import Desk, Options, connect, none_unfinished
+from commissioning.session.armed import experiment_json, in_a_run
+from commissioning.session.desk import Desk, Options
 from commissioning.session.measurement import Measurement
 from commissioning.session.methods import PACE_IS_LONG, Measured
-from commissioning.session.preflight import (
-    Limits,
-    choose_limits,
-    look,
-    writes,
-)
 from commissioning.session.result import (
     QUANTITIES,
-    blank,
     changes_json,
     critical_points,
     cycles_json,
@@ -44,136 +36,34 @@ from commissioning.session.result import (
     judge,
     methods_json,
 )
-from commissioning.settings import Settings
 from drivers.drive import Drive
 from profiles.axis import Axis
-from profiles.errors import MeasurementRejected, TwoRelayError, WriteFailed
-from profiles.library import digest, source_text
+from profiles.errors import MeasurementRejected, WriteFailed
 
-__all__ = ["Failure", "identify"]
+__all__ = ["identify"]
 
 _LEAST_PERIOD = 20  # dead times, for the methods of the thesis
 _LEAST_CYCLES = 25, 15  # a period, for the methods of the thesis and for the others
 _LIMITED_SHARE, _MUCH_LIMITED = 0.002, 0.2  # of the cycles
 
 
-class Failure(Exception):
-    """A job that ended early: its error, and the result as far as it got."""
-
-    def __init__(self, error: TwoRelayError, result: dict[str, Any]) -> None:
-        super().__init__(str(error))
-        self.error = error
-        self.result = result
-
-
 def identify(axis: Axis, options: Options, desk: Desk) -> dict[str, Any]:
-    """Run the experiments on `axis` and return the result JSON.
+    """Run the experiments on `axis` and return the result JSON; raises Failure."""
 
-    Raises
-    ------
-    Failure
-        Around any TwoRelayError, with the result so far. The axis is at rest and de-energised, and
-        every setting of the experiment is back, or the error says what is not.
-    """
-    result = blank(axis, axis.link, None, None)
-    try:
-        with connect(axis, options.cycle, desk) as drive:
-            return _identify(axis, options, desk, drive, result)
-    except TwoRelayError as error:
-        result["status"] = error.status
-        result["quality"] = {"verdict": "rejected", "reasons": [str(error)]}
-        raise Failure(error, result) from error
-
-
-def _identify(
-    axis: Axis, options: Options, desk: Desk, drive: Drive, result: dict[str, Any]
-) -> dict[str, Any]:
-    identity = drive.identity()
-    result |= blank(axis, drive.link, drive.profile, identity)
-    desk.tell(f"drive: {identity}; profile {drive.profile.name} {drive.profile.version}")
-    none_unfinished(desk, identity.serial)
-    look(drive, axis)
-    limits = choose_limits(drive, axis, options)
-    if options.dry_run:
-        return _dry_run(axis, drive, limits, desk, result)
-    desk.agree(_arming_text(axis, limits), axis.name)
-    look(drive, axis)  # the question may have stood for long
-    none_unfinished(desk, identity.serial)
-    limits = choose_limits(drive, axis, options)
-    profile_text = source_text(axis.profile or drive.profile.name)
-    run_id = desk.journal.begin(
-        axis=axis.name,
-        link=drive.link,
-        profile=drive.profile.name,
-        profile_hash=digest(drive.profile),
-        serial=identity.serial,
-        context={
-            "axis": axis.model_dump(mode="json"),
-            "fraction": options.fraction,
-            "pid": os.getpid(),
-        },
-    )
-    result["run"] = run_id
-    recorder = Recorder(on_phase=desk.tell)
-    folder = RunFolder.of(desk.journal, run_id)
-    folder.save(result, None, profile_text)  # so that `restore` knows the drive after a crash
-    try:
-        job = Measurement(
-            axis, options, desk, drive, limits, recorder, Settings(desk.journal, run_id, drive)
-        )
+    def work(job: Measurement, result: dict[str, Any]) -> None:
         measured = job.measure()
         try:
-            _fill(result, measured, job, drive, options)
+            _fill(result, measured, job, job.drive, options)
         except ValueError as error:  # a limit cycle that no relay makes
             raise MeasurementRejected(f"the oscillations contradict themselves: {error}") from None
         known = _known(measured)
+        drive = job.drive
         changes = _proposal(drive, known, options.fraction, result["quality"]["reasons"])
         result["compensation"] = changes_json(changes)
         added = host_terms(drive.profile, drive.scaling, known, options.fraction)
         result["host_compensation"] = asdict(added) if added else None
-        result["status"] = "completed"
-    except TwoRelayError as error:
-        result["friction"] = blank(axis, drive.link, drive.profile, identity)["friction"]
-        result["critical_point"] = None
-        result["status"] = error.status
-        result["quality"] = {"verdict": "rejected", "reasons": [str(error)]}
-        raise
-    finally:
-        with desk.interruption.deferred():
-            if result["experiment"] is None:
-                result["experiment"] = _experiment(recorder, drive.cycle, 0)
-            desk.journal.finish(run_id, result["status"])
-            folder.save(result, Samples.of(recorder), None)
-    return result
 
-
-def _arming_text(axis: Axis, limits: Limits) -> str:
-    p, e = axis.position_unit, axis.effort_unit
-    return (
-        f"Axis '{axis.name}' will MOVE by itself: up to ±{limits.travel:.4g} {p} about its present "
-        f"position, with up to {limits.torque:.4g} {e} and {limits.speed:.4g} {p}/s, for about a "
-        "minute. tworelay is not a safety function: keep people clear and the emergency stop in "
-        "reach."
-    )
-
-
-def _dry_run(
-    axis: Axis, drive: Drive, limits: Limits, desk: Desk, result: dict[str, Any]
-) -> dict[str, Any]:
-    """Say what would be written; write nothing."""
-    desk.tell(_arming_text(axis, limits))
-    for name, raw in writes(drive, limits).items():
-        there, parameter = drive.read_raw(name), drive.profile.parameters[name]
-        if there != raw:
-            desk.tell(
-                f"would set {name} ({parameter.address}): {there} → {raw} "
-                f"(x {drive.scaling.raw_unit(parameter)}), and put it back"
-            )
-    desk.tell("would set mode, target torque and controlword to move the axis, and put them back")
-    desk.tell("dry run: nothing was written or moved")
-    result["status"] = "completed"
-    result["quality"]["reasons"] = ["dry run: nothing was measured"]
-    return result
+    return in_a_run(axis, options, desk, work)
 
 
 def _fill(
@@ -197,7 +87,7 @@ def _fill(
     )
     right, complex_coulomb = _right_point(measured)
     result["critical_point"] = critical_points(measured, right)
-    experiment = _experiment(recorder, drive.cycle, measured.periods)
+    experiment = experiment_json(recorder, drive.cycle, measured.periods)
     begin = recorder.samples[0].sent
     result["experiment"] = experiment | {
         "cycles": cycles_json(measured.shown),
@@ -318,26 +208,6 @@ def _reasons(measured: Measured, job: Measurement, cycle: float, method: str) ->
             )
         )
     return reasons
-
-
-def _experiment(recorder: Recorder, cycle: float, periods: int) -> dict[str, Any]:
-    samples = recorder.samples
-    if not samples:
-        return {
-            "periods": 0, "duration": 0.0, "cycle": cycle, "late_share": 0.0, "lost_share": 0.0,
-            "travel": 0.0,
-        }  # fmt: skip
-    positions = [s.position for s in samples]
-    late = sum(s.lateness > 0.5 * cycle for s in samples)
-    lost = sum(s.missed for s in samples)
-    return {
-        "periods": periods,
-        "duration": samples[-1].time - samples[0].sent,
-        "cycle": cycle,
-        "late_share": late / len(samples),
-        "lost_share": lost / (len(samples) + lost),
-        "travel": max(positions) - min(positions),
-    }
 
 
 def _known(measured: Measured) -> Known:

@@ -1,21 +1,26 @@
-"""How fast and how regular a link is, and what that means for an experiment. The drive stays de-energised."""
+"""How fast and how regular a link is, what that means for an experiment, and how late a torque acts."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from commissioning.experiments.design import SHORT
-from commissioning.session.desk import Desk
+from commissioning.identification.modulating import estimate
+from commissioning.session.armed import in_a_run
+from commissioning.session.desk import Desk, Options
+from commissioning.session.measurement import Measurement
+from commissioning.session.result import estimate_json
 from drivers.link import open_drive
 from profiles.axis import Axis
-from profiles.errors import UsageError
+from profiles.errors import MeasurementRejected, UsageError
 
-__all__ = ["Latency", "latency"]
+__all__ = ["Latency", "dead_time", "latency"]
 
 Array = NDArray[np.float64]
 
@@ -55,8 +60,24 @@ class Latency:
         return SHORT.cycles * self.cycle
 
 
+def dead_time(axis: Axis, options: Options, desk: Desk) -> dict[str, Any]:
+    """Result JSON with the dead time by small torque steps, which move the axis; raises Failure."""
+
+    def work(job: Measurement, result: dict[str, Any]) -> None:
+        record = job.torque_steps()
+        try:
+            found = estimate(record, any_motion=True)
+        except (ValueError, ArithmeticError) as error:
+            raise MeasurementRejected(f"the torque steps show no dead time: {error}") from None
+        result["friction"]["method"] = "modulating"
+        result["friction"]["dead_time"] = estimate_json(found.dead_time, "s")
+        result["quality"] = {"verdict": "usable", "reasons": ["torque steps: the dead time only"]}
+
+    return in_a_run(axis, options, desk, work)
+
+
 def latency(axis: Axis, count: int, desk: Desk) -> Latency:
-    """Measure; raises LinkError, PreflightRefused, UsageError."""
+    """Measure with the drive de-energised; raises LinkError, PreflightRefused, UsageError."""
     if axis.link is not None and axis.link.startswith("virtual://"):
         raise UsageError("latency: virtual:// has no link to be late; serve the axis")
     if axis.link is not None and "clock=step" in axis.link:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from math import inf
 from typing import TypeVar
@@ -11,7 +12,7 @@ import numpy as np
 from commissioning.envelope import Envelope
 from commissioning.experiments.creep import balancing_torque
 from commissioning.experiments.design import LONG, SHORT, RelayDesign, design
-from commissioning.experiments.first_look import FirstLook, first_look
+from commissioning.experiments.first_look import STEPS, FirstLook, first_look, torque_steps
 from commissioning.experiments.plan import Context, Plan, stand
 from commissioning.experiments.stopping import Stopping, run_up
 from commissioning.experiments.two_relay import Solver
@@ -29,6 +30,7 @@ from commissioning.session.preflight import (
 )
 from commissioning.settings import Settings
 from drivers.drive import Drive
+from drivers.sample import Sample
 from profiles.axis import Axis
 from profiles.errors import (
     DriveFault,
@@ -109,15 +111,20 @@ class Measurement:
         )
 
     def measure(self) -> Measured:
-        """All experiments; the settings are put back on every way out.
+        """All experiments; the oscillations are run as often as `repeat` says."""
+        return self._within_settings(self._experiments)
 
-        The oscillations are run as often as `repeat` says.
-        """
+    def torque_steps(self) -> Record:
+        """Short pushes both ways at low speed, and nothing else."""
+        return self._within_settings(self._torque_steps)
+
+    def _within_settings(self, work: Callable[[], T]) -> T:
+        """The drive's limits and watchdog around `work`; put back on every way out."""
         failure: BaseException | None = None
         try:
             with self.desk.interruption.deferred():
                 set_limits(self.drive, self.settings, self.limits)
-            return self._experiments()
+            return work()
         except BaseException as error:
             failure = error
             raise
@@ -145,7 +152,15 @@ class Measurement:
             rest=rest, leave_moving=leave_moving,
         )  # fmt: skip
 
-    def _experiments(self) -> Measured:
+    def _torque_steps(self) -> Record:
+        known = self._first_look()
+        self.recorder.phase(f"{STEPS} torque steps, both ways")
+        begin = len(self.recorder.samples)
+        self._run(torque_steps(self.context, known), known.offset)
+        return self._record_of(self.recorder.samples[begin:], self.recorder.samples[begin:])
+
+    def _first_look(self) -> FirstLook:
+        """The first motions, from rest and with the watchdog proved."""
         rest = self._holding_torque() if self.axis.mechanics.held_by != "friction" else 0.0
         self.context = replace(self.context, rest=rest)
         self.recorder.phase("does the axis stay at rest?")
@@ -162,6 +177,10 @@ class Measurement:
                 f"({known.breakaway:.4g} {e}): the axis falls when the torque goes. Declare its "
                 "brake, counterbalance or fixture in an axis file ([mechanics] held_by)"
             )
+        return known
+
+    def _experiments(self) -> Measured:
+        known = self._first_look()
         stopping = self._prove_stop(known)
         rest = known.offset
         self.context = replace(self.context, rest=rest)
@@ -278,16 +297,19 @@ class Measurement:
         kept = [
             s for s, after in zip(cut, [*cut[1:], cut[-1]], strict=True) if after.lateness <= stall
         ]
-        whole = Record.of(
-            [s.time for s in kept],
-            [s.position for s in kept],
-            [s.sent for s in cut],
-            [s.command for s in cut],
-            self.context.resolution,
-        )
+        whole = self._record_of(kept, cut)
         if self.options.output_filter:
             whole = unfiltered(whole, self.options.output_filter)
         return whole.between(begin, end)
+
+    def _record_of(self, seen: list[Sample], commanded: list[Sample]) -> Record:
+        return Record.of(
+            [s.time for s in seen],
+            [s.position for s in seen],
+            [s.sent for s in commanded],
+            [s.command for s in commanded],
+            self.context.resolution,
+        )
 
     def _holding_torque(self) -> float:
         """Torque that holds the axis, read while the drive holds its position."""

@@ -13,8 +13,9 @@ from commissioning.experiments.oscillator import Oscillator
 from commissioning.experiments.relay import Relay
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
+from commissioning.session.armed import Failure
 from commissioning.session.desk import Desk, Options
-from commissioning.session.identify import Failure, identify
+from commissioning.session.identify import identify
 from drivers.home import home
 from drivers.link import axis_of, parse
 from drivers.sample import Sample, Status

@@ -69,6 +69,23 @@ def test_latency_tells_the_cycle_that_the_link_holds(
         assert found["exchange"]["median"] > 0.00175
 
 
+@real_time
+def test_torque_steps_tell_how_late_a_torque_acts(serve: Serve, tworelay: Tworelay) -> None:
+    (link,) = serve("bench", "--set", "delay=0.02", *WIRES["modbus-tcp"])
+    asked = ("latency", link, "--count", "50", "--json", "--move", "--travel", "20")
+    refused = tworelay(*asked)
+    assert refused.returncode == 3
+    assert "this needs a confirmation" in refused.stderr
+    done = tworelay(*asked, "--yes")
+    assert done.returncode == 0, done.stderr
+    late = json.loads(done.stdout)["dead_time"]
+    assert late["value"] == pytest.approx(0.02, abs=0.003)
+    assert late["low"] < late["value"] < late["high"]
+    nothing = tworelay("apply", "last", "--yes")
+    assert nothing.returncode == 3
+    assert "proposes nothing: it measured no friction" in nothing.stderr
+
+
 def test_latency_does_not_energise_and_says_what_it_cannot_measure(
     serve: Serve, tworelay: Tworelay
 ) -> None:

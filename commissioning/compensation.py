@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from drivers.scaling import Scaling
 from profiles.errors import WriteFailed
-from profiles.schema import Profile
+from profiles.schema import Profile, Unit
 
 __all__ = ["Change", "HostTerms", "Known", "host_terms", "propose"]
 
@@ -101,6 +101,16 @@ def propose(
             fraction * max(known.viscous, 0.0),
             f"{share} of the viscous friction",
         )
+    viscous = fraction * max(known.viscous or 0.0, 0.0)
+    for point in law.table:
+        speed = point.at * scaling.step_of(Unit.SPEED)
+        wanted[point.speed] = (speed, "speed of a point of the table")
+        wanted[point.torque] = (
+            friction + viscous * speed,
+            f"{share} of the friction at that speed",
+        )
+    if law.points is not None:
+        wanted[law.points] = (float(len(law.table)), "points of the table")
     return [
         _change(profile, scaling, name, value, old_raw[name], why)
         for name, (value, why) in wanted.items()
@@ -148,7 +158,8 @@ def _change(
 ) -> Change:
     parameter = profile.parameters[name]
     raw = scaling.checked_raw(name, parameter, value)
-    if parameter.largest_step is not None and abs(raw - old) > parameter.largest_step:
+    step = abs(parameter.number(raw) - parameter.number(old))
+    if parameter.largest_step is not None and step > parameter.largest_step:
         raise WriteFailed(
             f"'{name}': the step from {old} to {raw} is larger than the {parameter.largest_step} "
             f"that profile '{profile.name}' allows at once; nothing was written"

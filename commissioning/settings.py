@@ -65,13 +65,14 @@ class Settings:
     def _check_way_back(self, parameter: str, old: int, new: int) -> None:
         """Refuse a write that could not be undone, or that is larger than the profile allows."""
         described = self._drive.profile.parameters[parameter]
-        low, high = described.raw_range
-        if not low <= old <= high or old in described.forbidden:
+        low, high = described.range
+        if not described.allows(old):
             raise WriteFailed(
                 f"'{parameter}' reads {old}, which profile '{self._drive.profile.name}' does not "
                 f"allow to be written back ({low:g}…{high:g}); it was left as it is"
             )
-        if described.largest_step is not None and abs(new - old) > described.largest_step:
+        step = abs(described.number(new) - described.number(old))
+        if described.largest_step is not None and step > described.largest_step:
             raise WriteFailed(
                 f"'{parameter}': the step from {old} to {new} is larger than the "
                 f"{described.largest_step} that profile '{self._drive.profile.name}' allows at once"

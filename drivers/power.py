@@ -169,7 +169,7 @@ class ProcedurePower:
         self._profile = profile
         self._power = power
         into = profile.cycle.in_
-        self._at_enabled = into.index(power.enabled.parameter)
+        self._at_enabled = into.index(power.enabled.parameter) if profile.moves else 0
         fault = power.fault
         self._at_fault = (
             into.index(fault.parameter) if fault is not None and fault.parameter in into else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import nan
+from math import isnan, nan
 
 from drivers.drive import Bus, Exchange, StopReport
 from drivers.power import perform, power_of
@@ -38,6 +38,10 @@ _IDENTITY = {
     "product": "product_code", "revision": "revision_code", "serial": "serial_number",
 }  # fmt: skip
 _WRITTEN = (Protection.EXPERIMENT, Protection.COMPENSATION, Protection.GAIN)
+_COUNTED_IN_RATED = {
+    Unit.RATED_TORQUE, Unit.RATED_TORQUE_PER_SPEED, Unit.RATED_TORQUE_PER_SECOND, Unit.CURRENT,
+}  # fmt: skip
+_COUNTED_IN_INCREMENTS = {Unit.INCREMENT, Unit.INCREMENT_PER_SECOND}
 _POLL = 0.005  # s between two looks at a state
 _MODE_CHANGE = 2.0  # s
 
@@ -62,6 +66,8 @@ class ProfiledDrive:
         self._energised = False
         self._mode_before: int | None = None
         self.scaling = Scaling(1.0, 1.0, axis.mechanics) if to_stop else self._read_bases(axis)
+        if not profile.moves:
+            return
         self._select(Mode.TORQUE, profile.modes[Mode.TORQUE][0])
         names = profile.cycle.in_
         self._at_position = names.index("position_actual")
@@ -70,8 +76,12 @@ class ProfiledDrive:
         self._torque_step = self._step("torque_actual") if self._at_torque is not None else nan
 
     def _read_bases(self, axis: Axis) -> Scaling:
-        rated = axis.rated_torque if axis.rated_torque is not None else self._rated_torque()
-        encoder = axis.encoder if axis.encoder is not None else self._encoder()
+        units = {parameter.unit for parameter in self.profile.parameters.values()}
+        rated, encoder = axis.rated_torque or nan, axis.encoder or nan
+        if isnan(rated) and units & _COUNTED_IN_RATED:
+            rated = self._rated_torque()
+        if isnan(encoder) and units & _COUNTED_IN_INCREMENTS:
+            encoder = self._encoder()
         return Scaling(rated, encoder, axis.mechanics, self._torque_constant(axis, rated))
 
     def _torque_constant(self, axis: Axis, rated: float) -> float:
@@ -165,8 +175,8 @@ class ProfiledDrive:
                 f"'{name}' ({parameter.address}) is unverified in profile '{self.profile.name}': "
                 "it is not written; check the drive's manual and mark it in the profile"
             )
-        low, high = parameter.raw_range
-        if not low <= raw <= high or raw in parameter.forbidden:
+        low, high = parameter.range
+        if not parameter.allows(raw):
             raise WriteFailed(f"'{name}': raw value {raw} is not allowed ({low:g}…{high:g})")
         self._bus.write(parameter.address, raw)
         self._verify(name, parameter, raw)
@@ -350,6 +360,12 @@ class ProfiledDrive:
 
     def _supported(self, mode: Mode) -> ModeCode:
         codes = self.profile.modes.get(mode, ())
+        if not codes and mode is Mode.TORQUE:
+            raise PreflightRefused(
+                f"profile '{self.profile.name}' has no torque command, so no relay experiment can be "
+                "run: record a motion with the drive's own software, and give it to 'tworelay analyze FILE "
+                "--for AXIS'"
+            )
         if not codes:
             raise PreflightRefused(f"profile '{self.profile.name}' has no {mode} mode")
         if "supported_modes" not in self.profile.parameters:

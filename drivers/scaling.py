@@ -35,25 +35,25 @@ class Scaling:
 
     def step(self, parameter: Parameter) -> float:
         """Value of one raw step in SI at the axis."""
-        return parameter.scale * self._unit(parameter.unit)
+        return parameter.scale * self.step_of(parameter.unit)
 
     def to_si(self, parameter: Parameter, raw: float) -> float:
         """SI value of `raw`."""
-        return raw * self.step(parameter)
+        return parameter.number(raw) * self.step(parameter)
 
     def to_raw(self, parameter: Parameter, value: float) -> int:
         """Nearest raw value to `value` (SI); not yet checked against the range."""
-        return round(value / self.step(parameter))
+        return parameter.nearest_raw(value / self.step(parameter))
 
     def checked_raw(self, name: str, parameter: Parameter, value: float) -> int:
         """Nearest raw value, checked against range and forbidden values; raises WriteFailed."""
         raw = self.to_raw(parameter, value)
-        low, high = parameter.raw_range
-        if not low <= raw <= high:
-            unit = self.unit_text(parameter)
+        low, high = parameter.range
+        if not low <= parameter.number(raw) <= high:
+            unit, step = self.unit_text(parameter), self.step(parameter)
             raise WriteFailed(
-                f"'{name}': {value:.6g} {unit} is outside {self.to_si(parameter, low):.6g}…"
-                f"{self.to_si(parameter, high):.6g} {unit}; nothing was written"
+                f"'{name}': {value:.6g} {unit} is outside {low * step:.6g}…{high * step:.6g} {unit}; "
+                "nothing was written"
             )
         if raw in parameter.forbidden:
             raise WriteFailed(
@@ -83,13 +83,16 @@ class Scaling:
 
     def raw_unit(self, parameter: Parameter) -> str:
         """What the drive counts in, for people: '0.001 rated', 'increment'."""
+        if parameter.is_float:
+            return "bits of an f32"
         return (
             parameter.unit.value
             if parameter.scale == 1
             else (f"{parameter.scale:g} {parameter.unit.value}")
         )
 
-    def _unit(self, unit: Unit) -> float:
+    def step_of(self, unit: Unit) -> float:
+        """What one of `unit` is in SI at the axis."""
         travel = self.mechanics.travel_per_revolution  # rad or m a motor revolution
         effort = self.mechanics.effort_per_torque
         return {

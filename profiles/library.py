@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from profiles.errors import IdentityMismatch, ProfileError, UnknownName
-from profiles.schema import Identity, ModbusAddress, Profile
+from profiles.schema import Identity, MailboxAddress, ModbusAddress, Profile
 from profiles.toml_files import parse_model, parse_tree, read_text, validated
 
 if TYPE_CHECKING:
@@ -155,6 +155,8 @@ def check(profile: Profile) -> list[Finding]:
         if isinstance(address, ModbusAddress):
             cells = [(address.register_ + k, 0) for k in range(address.count)]
             bits = address.bits or 0xFFFF
+        elif isinstance(address, MailboxAddress):
+            cells, bits = [(-1 - address.pnu, address.sub)], 0xFFFF
         else:
             cells, bits = [(address.index, address.sub)], 0xFFFF
         for cell in cells:
@@ -185,6 +187,13 @@ def check(profile: Profile) -> list[Finding]:
             found.append(
                 Finding("warning", "[store] is missing: what is written is lost at power-off")
             )
+    if not profile.moves:
+        found.append(
+            Finding(
+                "warning", "[modes] has no torque: nothing is moved, only recordings can be used"
+            )
+        )
+        return found
     if not profile.stop:
         found.append(Finding("error", "[stop] is empty: there is no way to stop the drive"))
     if profile.watchdog.kind == "none":

@@ -6,6 +6,7 @@ procedures of the drive. It can name only parameters, never code. An unknown key
 
 from __future__ import annotations
 
+import struct
 from enum import StrEnum
 from typing import Annotated, Any, Literal, Self
 
@@ -22,6 +23,8 @@ __all__ = [
     "IdentityMatch",
     "LinkDefaults",
     "LoopGains",
+    "Mailbox",
+    "MailboxAddress",
     "ModbusAddress",
     "Mode",
     "Parameter",
@@ -29,6 +32,7 @@ __all__ = [
     "Profile",
     "Step",
     "Store",
+    "TablePoint",
     "Unit",
     "Watchdog",
 ]
@@ -38,10 +42,11 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-_ScalarType = Literal["i8", "u8", "i16", "u16", "i32", "u32", "i64", "u64"]
+_Integer = Literal["i8", "u8", "i16", "u16", "i32", "u32", "i64", "u64"]
+FLOAT = "f32"  # IEEE 754; its raw value is the whole number that has the same 32 bits
 
 WIDTH_BITS: dict[str, int] = {
-    "i8": 8, "u8": 8, "i16": 16, "u16": 16, "i32": 32, "u32": 32, "i64": 64, "u64": 64,
+    "i8": 8, "u8": 8, "i16": 16, "u16": 16, "i32": 32, "u32": 32, "i64": 64, "u64": 64, FLOAT: 32,
 }  # fmt: skip
 
 
@@ -50,7 +55,7 @@ class CanopenAddress(_Strict):
 
     index: Annotated[int, Field(ge=0x1000, le=0xFFFF)]
     sub: Annotated[int, Field(ge=0, le=0xFF)] = 0
-    type: _ScalarType
+    type: _Integer
 
     @property
     def raw_range(self) -> tuple[int, int]:
@@ -59,6 +64,22 @@ class CanopenAddress(_Strict):
 
     def __str__(self) -> str:
         return f"{self.index:04X}h:{self.sub:02X}"
+
+
+class MailboxAddress(_Strict):
+    """A parameter behind the profile's mailbox of registers, by its number (PNU) and sub-index."""
+
+    pnu: Annotated[int, Field(ge=0, le=0xFFFF)]
+    sub: Annotated[int, Field(ge=0, le=0xFFFF)] = 0
+    type: _Integer | Literal["f32"]
+
+    @property
+    def raw_range(self) -> tuple[int, int]:
+        """Smallest and largest raw value."""
+        return type_range(self.type)
+
+    def __str__(self) -> str:
+        return f"PNU {self.pnu}:{self.sub}"
 
 
 class ModbusAddress(_Strict):
@@ -70,7 +91,7 @@ class ModbusAddress(_Strict):
     """
 
     register_: Annotated[int, Field(ge=0, le=0xFFFF, alias="register")]
-    type: _ScalarType
+    type: _Integer | Literal["f32"]
     word_order: Literal["high-first", "low-first"] = "high-first"
     read_function: Literal[3, 4] = 3
     write_function: Literal[6, 16, 22] = 16
@@ -105,13 +126,16 @@ class ModbusAddress(_Strict):
         return where if self.bits is None else f"{where} bits {self.bits:04X}h"
 
 
-Address = CanopenAddress | ModbusAddress
+Address = CanopenAddress | ModbusAddress | MailboxAddress
 
 
-def _bus_of_address(value: Any) -> str:
-    """An address with an index is CANopen's, any other is Modbus'."""
-    index = value.get("index") if isinstance(value, dict) else getattr(value, "index", None)
-    return "modbus" if index is None else "canopen"
+def _kind_of_address(value: Any) -> str:
+    """An address with an index is an object, one with a pnu is behind a mailbox, any other is a register."""
+    for key, kind in (("index", "canopen"), ("pnu", "mailbox")):
+        there = value.get(key) if isinstance(value, dict) else getattr(value, key, None)
+        if there is not None and not callable(there):
+            return kind
+    return "modbus"
 
 
 class Unit(StrEnum):
@@ -162,19 +186,22 @@ class Trust(StrEnum):
 class Parameter(_Strict):
     """One parameter of the drive.
 
-    The value in SI is `raw * scale`, times what `unit` stands for in this drive.
-    `minimum` and `maximum` are raw, `forbidden` lists raw values that must never be written.
+    The value in SI is its number times `scale`, times what `unit` stands for in this drive; the number is the
+    raw value, or of an f32 the one whose bits the raw value has. `minimum`, `maximum` and `largest_step` are
+    numbers, `forbidden` lists raw values that must never be written.
     """
 
     address: Annotated[
-        Annotated[CanopenAddress, Tag("canopen")] | Annotated[ModbusAddress, Tag("modbus")],
-        Discriminator(_bus_of_address),
+        Annotated[CanopenAddress, Tag("canopen")]
+        | Annotated[ModbusAddress, Tag("modbus")]
+        | Annotated[MailboxAddress, Tag("mailbox")],
+        Discriminator(_kind_of_address),
     ]
     title: str
     unit: Unit = Unit.NONE
     scale: float = 1.0
-    minimum: int | None = None
-    maximum: int | None = None
+    minimum: int | float | None = None
+    maximum: int | float | None = None
     forbidden: tuple[int, ...] = ()
     largest_step: int | None = None
     access: Access = Access.READ_WRITE
@@ -187,9 +214,11 @@ class Parameter(_Strict):
     def _check(self) -> Self:
         if self.scale == 0:
             raise ValueError("scale is 0: must be the value of one raw step")
-        low, high = self.address.raw_range
-        lo = low if self.minimum is None else self.minimum
-        hi = high if self.maximum is None else self.maximum
+        whole = isinstance(self.minimum, int | None) and isinstance(self.maximum, int | None)
+        if not self.is_float and not whole:
+            raise ValueError(f"minimum and maximum of a {self.address.type} are whole numbers")
+        low, high = (-_LARGEST_F32, _LARGEST_F32) if self.is_float else self.address.raw_range
+        lo, hi = self.range
         if lo > hi:
             raise ValueError(f"range is upside down: minimum {lo}, maximum {hi}")
         if lo < low or hi > high:
@@ -203,19 +232,47 @@ class Parameter(_Strict):
         return self
 
     @property
-    def raw_range(self) -> tuple[int, int]:
-        """Smallest and largest raw value that may be written."""
-        low, high = self.address.raw_range
+    def is_float(self) -> bool:
+        """Whether raw values are the bits of an IEEE 754 number."""
+        return self.address.type == FLOAT
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Smallest and largest number that may be written."""
+        low, high = (-_LARGEST_F32, _LARGEST_F32) if self.is_float else self.address.raw_range
         return (
             low if self.minimum is None else self.minimum,
             high if self.maximum is None else self.maximum,
         )
 
+    def number(self, raw: float) -> float:
+        """The number that a raw value stands for."""
+        if not self.is_float:
+            return raw
+        value: float = struct.unpack("<f", struct.pack("<I", raw))[0]
+        return value
+
+    def nearest_raw(self, number: float) -> int:
+        """The raw value that stands for a number, or for the nearest one that the drive can hold."""
+        if not self.is_float:
+            return round(number)
+        clipped = max(-_LARGEST_F32, min(_LARGEST_F32, number))
+        raw: int = struct.unpack("<I", struct.pack("<f", clipped))[0]
+        return raw
+
+    def allows(self, raw: int) -> bool:
+        """Whether a raw value may be written."""
+        low, high = self.range
+        return low <= self.number(raw) <= high and raw not in self.forbidden
+
+
+_LARGEST_F32 = 3.4028234663852886e38
+
 
 def type_range(name: str) -> tuple[int, int]:
-    """Smallest and largest number of a scalar type by its name."""
+    """Smallest and largest raw value of a scalar type by its name."""
     bits = WIDTH_BITS[name]
-    return (0, 2**bits - 1) if name[0] == "u" else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    return (0, 2**bits - 1) if name[0] in "uf" else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
 
 
 class IdentityMatch(_Strict):
@@ -338,10 +395,10 @@ class Power(_Strict):
     """How a drive without the CiA 402 state machine is energised, and how it says so.
 
     Its energy is taken by the profile's `disable`. `fault` is watched in every cycle where its parameter
-    is in the cycle.
+    is in the cycle. `enable` is empty only where there is no torque command: such a drive is never energised.
     """
 
-    enable: Annotated[tuple[Step, ...], Field(min_length=1)]
+    enable: tuple[Step, ...] = ()
     enabled: Condition
     fault: Condition | None = None
     reset: tuple[Step, ...] = ()
@@ -374,6 +431,25 @@ class Cycle(_Strict):
     gap: Annotated[int, Field(ge=0, le=100)] = 0
     rpdo: Annotated[int, Field(ge=1, le=4)] = 1
     tpdo: Annotated[int, Field(ge=1, le=4)] = 1
+
+
+class Mailbox(_Strict):
+    """Registers through which parameters are reached by number: fill in, execute, look, take the data.
+
+    `request` takes `read_code` or `write_code`, and reads `done_code` when the data are there. Data have
+    their length in bytes, and their low word first.
+    """
+
+    pnu: int
+    sub: int
+    elements: int
+    request: int
+    length: int
+    data: int
+    read_code: int
+    write_code: int
+    done_code: int
+    within: Annotated[float, Field(gt=0)] = 0.5  # s
 
 
 class Watchdog(_Strict):
@@ -410,6 +486,7 @@ class CompensationLaw(StrEnum):
     SINGLE_GAIN           T = F * sign(v)
     SATURATED_LINEAR      T = F * clip(v / v0, -1, 1)
     COULOMB_VISCOUS       T = offset + F+ or F- by direction + B * v
+    TABLE                 T = offset + torque over speed, interpolated between points, odd in v
     HOST                  nothing in the drive: the master adds T = offset + F * sign(v) in every cycle
     """
 
@@ -418,6 +495,7 @@ class CompensationLaw(StrEnum):
     SINGLE_GAIN = "single-gain"
     SATURATED_LINEAR = "saturated-linear"
     COULOMB_VISCOUS = "coulomb+viscous"
+    TABLE = "table"
     HOST = "host"
 
 
@@ -425,6 +503,7 @@ LAW_TERMS: dict[CompensationLaw, tuple[frozenset[str], frozenset[str]]] = {
     # law: (terms it must have, terms it may have)
     CompensationLaw.NONE: (frozenset(), frozenset()),
     CompensationLaw.HOST: (frozenset(), frozenset()),
+    CompensationLaw.TABLE: (frozenset({"points"}), frozenset({"offset"})),
     CompensationLaw.OFFSET_ASYMMETRIC: (frozenset({"positive", "negative"}), frozenset({"offset"})),
     CompensationLaw.SINGLE_GAIN: (frozenset({"gain"}), frozenset({"offset"})),
     CompensationLaw.SATURATED_LINEAR: (frozenset({"gain", "speed"}), frozenset({"offset"})),
@@ -433,6 +512,14 @@ LAW_TERMS: dict[CompensationLaw, tuple[frozenset[str], frozenset[str]]] = {
         frozenset({"offset"}),
     ),
 }
+
+
+class TablePoint(_Strict):
+    """One point of a friction table: the parameters that hold it, and the speed to give it (rad/s, motor)."""
+
+    speed: str
+    torque: str
+    at: Annotated[float, Field(gt=0)]
 
 
 class Compensation(_Strict):
@@ -450,6 +537,8 @@ class Compensation(_Strict):
     gain: str | None = None
     speed: str | None = None
     viscous: str | None = None
+    points: str | None = None  # how many points the table has
+    table: tuple[TablePoint, ...] = ()
     host: str | None = None
     negative_sign: Literal[-1, 1] = 1
     acts_in: tuple[Mode, ...] = (Mode.POSITION,)
@@ -458,13 +547,21 @@ class Compensation(_Strict):
     @property
     def terms(self) -> dict[str, str]:
         """Parameter name of each term of the law that the drive has."""
-        names = ("offset", "positive", "negative", "gain", "speed", "viscous")
-        return {name: value for name in names if (value := getattr(self, name)) is not None}
+        names = ("offset", "positive", "negative", "gain", "speed", "viscous", "points")
+        found = {name: value for name in names if (value := getattr(self, name)) is not None}
+        for n, point in enumerate(self.table, 1):
+            found |= {f"speed_{n}": point.speed, f"torque_{n}": point.torque}
+        return found
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        if (self.law is CompensationLaw.TABLE) != bool(self.table):
+            raise ValueError("law 'table' has its points in table, and no other law does")
+        speeds = [point.at for point in self.table]
+        if speeds != sorted(set(speeds)):
+            raise ValueError("the speeds of table must rise from point to point")
         must, may = LAW_TERMS[self.law]
-        there = set(self.terms)
+        there = {name for name in self.terms if not name[-1].isdigit()}
         if missing := must - there:
             raise ValueError(f"law '{self.law}' needs {', '.join(sorted(missing))}")
         if extra := there - must - may:
@@ -518,7 +615,10 @@ class Brake(_Strict):
 
 
 class Profile(_Strict):
-    """A drive family: identity, parameters, procedures, limits."""
+    """A drive family: identity, parameters, procedures, limits.
+
+    A drive whose [modes] has no torque is not moved: its friction is found in a recording, and written to it.
+    """
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")]
     version: str
@@ -531,10 +631,11 @@ class Profile(_Strict):
     state_machine: Literal["cia402", "procedure"] = "cia402"
     power: Power | None = None
     parameters: dict[str, Parameter]
-    cycle: Cycle
-    modes: dict[Mode, tuple[ModeCode, ...]]  # the first one that the drive supports is taken
-    stop: tuple[Step, ...]  # brings the axis to rest; written without waiting for an answer
-    disable: tuple[Step, ...]  # takes the energy away; likewise
+    mailbox: Mailbox | None = None
+    cycle: Cycle = Cycle.model_validate({"out": (), "in": (), "function": "fc16+3"})
+    modes: dict[Mode, tuple[ModeCode, ...]] = {}  # the first one that the drive supports is taken
+    stop: tuple[Step, ...] = ()  # brings the axis to rest; written without waiting for an answer
+    disable: tuple[Step, ...] = ()  # takes the energy away; likewise
     stop_time: Annotated[float, Field(gt=0)] = 1.0  # s, from `stop` to rest, brake closed
     requires: tuple[Condition, ...] = ()  # looked at before anything is written
     exclusive: Step | None = None  # locks other masters out: written first, put back last
@@ -543,14 +644,24 @@ class Profile(_Strict):
     brake: Brake = Brake()
     store: Store | None = None
     compensation: Compensation
+    own_estimates: dict[Literal["coulomb"], str] = {}  # what the drive itself has found, to compare
     loops: LoopGains | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether torque can be commanded."""
+        return bool(self.modes.get(Mode.TORQUE))
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
         known = set(self.parameters)
         if (self.state_machine == "procedure") != (self.power is not None):
             raise ValueError("[power] belongs to state_machine 'procedure', and only to that")
-        wanted = {"torque_target", "position_actual"}
+        if self.power is not None and self.moves != bool(self.power.enable):
+            raise ValueError(
+                "[power] enable belongs to a drive with a torque mode, and only to that"
+            )
+        wanted = {"torque_target", "position_actual"} if self.moves else set()
         if self.state_machine == "cia402":
             wanted |= {"controlword", "statusword", "mode_of_operation", "mode_display"}
             if any(code.code is None for codes in self.modes.values() for code in codes):
@@ -562,8 +673,8 @@ class Profile(_Strict):
                 raise ValueError(f"[{where}] names '{name}', which [parameters] does not have")
         for where, step in self._steps():
             if step.write is not None and step.raw is not None:
-                low, high = self.parameters[step.write].raw_range
-                if not low <= step.raw <= high:
+                low, high = self.parameters[step.write].range
+                if not self.parameters[step.write].allows(step.raw):
                     raise ValueError(
                         f"[{where}] writes {step.raw} to '{step.write}', which takes {low}…{high}"
                     )
@@ -571,12 +682,16 @@ class Profile(_Strict):
 
     @model_validator(mode="after")
     def _check_bus(self) -> Self:
-        kind = CanopenAddress if self.bus == "canopen" else ModbusAddress
+        kinds = (CanopenAddress,) if self.bus == "canopen" else (ModbusAddress, MailboxAddress)
         for name, parameter in self.parameters.items():
-            if not isinstance(parameter.address, kind):
+            if not isinstance(parameter.address, kinds):
                 raise ValueError(
                     f"[parameters.{name}] has an address of another bus than '{self.bus}'"
                 )
+            if isinstance(parameter.address, MailboxAddress) and self.mailbox is None:
+                raise ValueError(f"[parameters.{name}] is behind a mailbox: [mailbox] is missing")
+        if not self.moves:
+            return self
         status = "statusword" if self.power is None else self.power.enabled.parameter
         for name in (status, "position_actual"):
             if name not in self.cycle.in_:
@@ -585,15 +700,16 @@ class Profile(_Strict):
             for code in codes:
                 if code.set_point not in self.cycle.out:
                     raise ValueError(f"[cycle] out lacks '{code.set_point}', set-point of {mode}")
-        for name in self.cycle.out:
-            if getattr(self.parameters[name].address, "bits", None) is not None:
+        for name in (*self.cycle.out, *self.cycle.in_):
+            address = self.parameters[name].address
+            if isinstance(address, MailboxAddress) or address.type == FLOAT:
+                raise ValueError(f"[cycle] has '{name}', which is no register with a whole number")
+            if name in self.cycle.out and getattr(address, "bits", None) is not None:
                 raise ValueError(f"[cycle] out has '{name}', which is only bits of a register")
         if (self.cycle.function == "pdo") != (self.bus == "canopen"):
             raise ValueError(
                 f"[cycle] function '{self.cycle.function}' does not fit bus '{self.bus}'"
             )
-        if not self.modes.get(Mode.TORQUE):
-            raise ValueError("[modes] lacks torque: without a torque command no relay test can run")
         return self
 
     @model_validator(mode="after")
@@ -645,6 +761,7 @@ class Profile(_Strict):
         found += [("compensation", name) for name in self.compensation.terms.values()]
         found += [("compensation", self.compensation.host)] if self.compensation.host else []
         found += [("limits", name) for name in self.limits.values()]
+        found += [("own_estimates", name) for name in self.own_estimates.values()]
         if self.loops is not None:
             found += [("loops", name) for name in self.loops.terms.values()]
             found += [("loops", self.loops.lag)] if self.loops.lag else []

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from commissioning.cli.options import verbose
+from commissioning.cli.terminal import Finite, Screen, at_desk, axis_from, check_json, write_json
 
 __all__ = ["command"]
 
@@ -36,6 +37,17 @@ __all__ = ["command"]
 @click.option(
     "--json", "json_target", metavar="F", help="Result as JSON to F, '-' for standard output."
 )
+@click.option(
+    "--for", "target", metavar="TARGET",
+    help="The axis that was recorded: its drive is read, and what 'apply' would write is proposed.",
+)  # fmt: skip
+@click.option(
+    "--profile", metavar="P", help="With --for: drive profile, a built-in name or a file."
+)
+@click.option(
+    "--fraction", type=Finite(0, 1), default=0.85, show_default=True,
+    help="With --for: share of the friction to compensate; the offset is compensated whole.",
+)  # fmt: skip
 @verbose
 def command(
     files: tuple[Path, ...],
@@ -46,6 +58,9 @@ def command(
     steady: bool,
     method: str,
     json_target: str | None,
+    target: str | None,
+    profile: str | None,
+    fraction: float,
 ) -> None:
     """Friction from a recording: CSV with a header, or .mat. Nothing is moved.
 
@@ -53,7 +68,6 @@ def command(
     functions, any other motion by the latter.
     """
     from commissioning.cli import show
-    from commissioning.cli.terminal import Screen, check_json, write_json
     from commissioning.session.analyze import Rejected, analyze
 
     check_json(json_target)
@@ -65,5 +79,12 @@ def command(
     except Rejected as error:
         write_json(error.result, json_target)
         raise
+    if target is not None:
+        from commissioning.session.recorded import for_drive
+
+        with at_desk(screen) as desk:
+            result = for_drive(result, axis_from(target, profile), fraction, desk)
     write_json(result, json_target)
     show.summary(result, screen)
+    if target is not None:
+        show.outcome(result, screen)

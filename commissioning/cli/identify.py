@@ -16,7 +16,6 @@ from commissioning.cli.terminal import (
     options_from,
     write_json,
 )
-from commissioning.report.words import host_law
 from profiles.errors import UsageError
 
 __all__ = ["command", "measure"]
@@ -36,12 +35,7 @@ def command(target: str, **arguments: Any) -> None:
     if arguments["dry_run"]:
         return
     show.summary(result, screen)
-    if result["compensation"]:
-        show.proposal(result["compensation"], screen)
-        screen.say(f"to write it: tworelay apply {result['run']}")
-    else:
-        screen.say(host_law(result["host_compensation"]))
-    screen.say(f"run {result['run']}")
+    show.outcome(result, screen)
 
 
 def measure(target: str, screen: Screen, arguments: dict[str, Any]) -> dict[str, Any]:

@@ -6,9 +6,9 @@ from math import floor, log10
 from typing import Any
 
 from commissioning.cli.terminal import Screen
-from commissioning.report.words import GAINS, duration
+from commissioning.report.words import GAINS, duration, host_law
 
-__all__ = ["proposal", "summary"]
+__all__ = ["outcome", "proposal", "summary"]
 
 _NAMES = {
     "coulomb": "Coulomb friction",
@@ -194,6 +194,16 @@ def gains_text(item: dict[str, Any], units: dict[str, str]) -> str:
     return ", ".join(found)
 
 
+def outcome(result: dict[str, Any], screen: Screen) -> None:
+    """What can be done about it now."""
+    if result["compensation"]:
+        proposal(result["compensation"], screen)
+        screen.say(f"to write it: tworelay apply {result['run']}")
+    else:
+        screen.say(host_law(result["host_compensation"]))
+    screen.say(f"run {result['run']}")
+
+
 def proposal(items: list[dict[str, Any]], screen: Screen) -> None:
     """What would be written."""
     rows = [
@@ -202,7 +212,7 @@ def proposal(items: list[dict[str, Any]], screen: Screen) -> None:
             f"{item['old']:.4g}",
             f"{item['new']:.4g}",
             item["unit"],
-            f"{item['old_raw']} → {item['new_raw']}",
+            "" if "bits" in item["raw_unit"] else f"{item['old_raw']} → {item['new_raw']}",
             f"{item['rounded_by']:+.2g}",
         ]
         for item in items

@@ -264,6 +264,11 @@ def _resolve_any(desk: Desk, run: str) -> tuple[str, RunFolder]:
 def stop(axis: Axis, desk: Desk) -> StopReport:
     """Make safe what a dead process left energised; raises when that is not verified."""
     with desk.interruption.deferred(), connect(axis, None, desk, to_stop=True) as drive:
+        if not drive.profile.moves:
+            raise Refused(
+                f"profile '{drive.profile.name}' has no way to stop the drive, which says: "
+                f"{drive.status_text()}; use its own controller or the emergency stop"
+            )
         report = drive.stop(desk.interruption.hurried)
     if report.deenergised is None:
         raise LinkError(str(report))

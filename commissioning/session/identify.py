@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from commissioning.compensation import Change, Known, host_terms, propose
+from commissioning.compensation import Known, host_terms
 from commissioning.identification.critical_point import (
     CriticalPoint,
     corrected,
@@ -27,6 +27,7 @@ from commissioning.session.armed import experiment_json, in_a_run
 from commissioning.session.desk import Desk, Options
 from commissioning.session.measurement import Measurement
 from commissioning.session.methods import PACE_IS_LONG, Measured
+from commissioning.session.proposal import own_estimate, proposal
 from commissioning.session.result import (
     QUANTITIES,
     changes_json,
@@ -38,7 +39,7 @@ from commissioning.session.result import (
 )
 from drivers.drive import Drive
 from profiles.axis import Axis
-from profiles.errors import MeasurementRejected, WriteFailed
+from profiles.errors import MeasurementRejected
 
 __all__ = ["identify"]
 
@@ -58,8 +59,9 @@ def identify(axis: Axis, options: Options, desk: Desk) -> dict[str, Any]:
             raise MeasurementRejected(f"the oscillations contradict themselves: {error}") from None
         known = _known(measured)
         drive = job.drive
-        changes = _proposal(drive, known, options.fraction, result["quality"]["reasons"])
-        result["compensation"] = changes_json(changes)
+        reasons = result["quality"]["reasons"]
+        result["compensation"] = changes_json(proposal(drive, known, options.fraction, reasons))
+        reasons += filter(None, [own_estimate(drive, known.coulomb)])
         added = host_terms(drive.profile, drive.scaling, known, options.fraction)
         result["host_compensation"] = asdict(added) if added else None
 
@@ -218,17 +220,3 @@ def _known(measured: Measured) -> Known:
         viscous.value if viscous else None,
         viscous.half_width if viscous else 0.0,
     )
-
-
-def _proposal(drive: Drive, known: Known, fraction: float, reasons: list[str]) -> list[Change]:
-    """What would be written; what the drive cannot hold goes into `reasons` instead."""
-    law = drive.profile.compensation
-    if not law.terms:
-        return []
-    old = {name: drive.read_raw(name) for name in law.terms.values()}
-    for attempt in (known, replace(known, viscous=None)):
-        try:
-            return propose(drive.profile, drive.scaling, attempt, old, fraction)
-        except WriteFailed as error:
-            reasons.append(f"not proposed: {error}")
-    return []

@@ -7,11 +7,12 @@ from collections.abc import Callable
 
 from drivers.drive import Exchange
 from drivers.modbus.client import POST_ANSWER, Client, NoAnswer
+from drivers.modbus.mailbox import MailboxAccess
 from drivers.modbus.registers import decode, encode
 from drivers.pace import Pace
 from drivers.stepping import set_simulation
 from profiles.errors import AccessDenied, LinkLost, ProfileError, TwoRelayError
-from profiles.schema import Address, Identity, ModbusAddress, Profile
+from profiles.schema import Address, Identity, MailboxAddress, ModbusAddress, Profile
 
 __all__ = ["ModbusBus", "identify"]
 
@@ -52,10 +53,12 @@ class ModbusBus:
         self._profile = profile
         self._deadline = max(pace.cycle, profile.watchdog.deadline)
         self._idle: tuple[int, ...] = (0,) * len(profile.cycle.out)
-        self._out = _written(profile)
-        self._in = _read_blocks(profile)
-        position = _modbus(profile.parameters["position_actual"].address)
-        self._at_position = next(at for at, block in enumerate(self._in) if block.holds(position))
+        self._mailbox = MailboxAccess(client, profile.mailbox) if profile.mailbox else None
+        if profile.moves:
+            self._out = _written(profile)
+            self._in = _read_blocks(profile)
+            position = _modbus(profile.parameters["position_actual"].address)
+            self._at_position = next(n for n, block in enumerate(self._in) if block.holds(position))
         self._words: dict[int, int] = {}  # registers of which only bits are ours, as last seen
         self._before: tuple[tuple[int, ...], float] | None = None  # command in force, when it left
         self._write_function = 6 if profile.cycle.function == "fc6+3" else 16
@@ -73,6 +76,8 @@ class ModbusBus:
 
     def read(self, address: Address) -> int:
         """Raw value; raises LinkError, AccessDenied."""
+        if self._mailbox is not None and isinstance(address, MailboxAddress):
+            return self._mailbox.read(address)
         at = _modbus(address)
         try:
             words = self._client.read(at.read_function, at.register_, at.count)
@@ -84,6 +89,9 @@ class ModbusBus:
 
     def write(self, address: Address, raw: int) -> None:
         """Write a raw value; raises LinkError, AccessDenied."""
+        if self._mailbox is not None and isinstance(address, MailboxAddress):
+            self._mailbox.write(address, raw)
+            return
         at = _modbus(address)
         try:
             if at.bits is not None and at.write_function != 22:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from math import isfinite
 from typing import NamedTuple
 
 from drivers.virtual.device import Device
-from drivers.virtual.firmware import Denied
+from drivers.virtual.firmware import Denied, Reason
 from drivers.virtual.switchgear import Switchgear
 
 __all__ = ["Entry", "Mirror"]
@@ -28,7 +29,7 @@ class Entry(NamedTuple):
     code: str
     access: str = "rw"
     factor: float = 1.0
-    default: int = 0
+    default: float = 0
     name: str = ""
 
 
@@ -44,9 +45,9 @@ class Mirror:
         self._device = device
         self._switchgear = switchgear
         self._keeps = keeps
-        self._kept: dict[str, int] = {}
+        self._kept: dict[str, float] = {}
 
-    def value(self, entry: Entry) -> int:
+    def value(self, entry: Entry) -> float:
         """Object value, in the object's own steps; raises Denied."""
         if self._switchgear is not None:
             told = self._switchgear.says(entry.name)
@@ -54,17 +55,24 @@ class Mirror:
                 return told
         if not entry.keys:
             return self._kept.get(entry.name, entry.default)
+        stored = self._device.read(entry.keys[0])
+        value = stored / entry.factor
+        if entry.code == "f":  # a number is read as it was written, finer than the firmware counts
+            written = self._kept.get(entry.name, value)
+            return written if round(written * entry.factor) == stored else value
         low, high = _LIMITS[entry.code]
-        return max(low, min(high, round(self._device.read(entry.keys[0]) / entry.factor)))
+        return max(low, min(high, round(value)))
 
-    def set(self, entry: Entry, value: int) -> None:
+    def set(self, entry: Entry, value: float) -> None:
         """Write an object value to all that it mirrors; raises Denied."""
-        if not entry.keys:
+        if not isfinite(value):
+            raise Denied(Reason.RANGE)
+        if not entry.keys or entry.code == "f":
             self._kept[entry.name] = value
         for key in entry.keys:
             self._device.write(key, round(value * entry.factor))
         if self._switchgear is not None:
-            self._switchgear.written(entry.name, value)
+            self._switchgear.written(entry.name, int(value))
         if self._keeps:
             with suppress(Denied):  # while it is enabled, the last value is kept with the next one
                 self._device.firmware.store()

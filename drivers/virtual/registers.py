@@ -6,13 +6,16 @@ A value of more than 16 bits takes several registers, which are read and written
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from drivers.virtual.device import Device
 from drivers.virtual.firmware import Denied, Reason
+from drivers.virtual.mailbox import VirtualMailbox
 from drivers.virtual.mirror import Entry, Mirror
 from drivers.virtual.modbus_identity import PRODUCT, REVISION, VENDOR
 from drivers.virtual.switchgear import Switchgear
+from profiles.schema import Mailbox
 
 __all__ = ["CLOCK", "OWN", "Layout", "RegisterMap"]
 
@@ -66,6 +69,7 @@ class Layout:
     value begins with its low word. `filled`: registers that nobody needs, and that read 0.
     `position`: the register whose reading completes a cycle. `functions`: those that the drive knows.
     `identity`: vendor, product, revision by FC 43/14. `traffic_feeds`: any request feeds the watchdog.
+    `posted`: objects behind the mailbox, by number and sub-index.
     """
 
     registers: dict[int, Entry]
@@ -76,11 +80,15 @@ class Layout:
     functions: frozenset[int] = frozenset({3, 4, 6, 16, 22, 23})
     identity: tuple[str, str, str] = (VENDOR, PRODUCT, REVISION)
     traffic_feeds: bool = False
+    mailbox: Mailbox | None = None
+    posted: Mapping[tuple[int, int], Entry] = field(default_factory=dict)
 
     @property
     def span(self) -> tuple[int, int]:
         """First register, and the one after the last."""
         every = {*self.registers, *self.bits, *self.filled}
+        if self.mailbox is not None:
+            every |= {self.mailbox.pnu, self.mailbox.data}
         return min(every), max(every) + 4
 
 
@@ -107,6 +115,10 @@ class RegisterMap:
         self.device = device
         self.layout = layout
         self._mirror = Mirror(device, switchgear, keeps=keeps)
+        self._posts: dict[int, VirtualMailbox] = {}
+        if layout.mailbox is not None:
+            mailbox = VirtualMailbox(layout.mailbox, layout.posted, self._mirror)
+            self._posts = dict.fromkeys(mailbox.registers, mailbox)
         self._other: dict[int, int] = {}  # bits of registers that are no object's
         self._command_pending = False
 
@@ -134,18 +146,21 @@ class RegisterMap:
 
     def _words(self, start: int) -> list[int]:
         layout = self.layout
+        if start in self._posts:
+            return [self._posts[start].read(start)]
         fields = layout.bits.get(start)
         if fields is not None:
             word = self._other.get(start, 0)
             for part, mask in fields:
-                word |= self._mirror.value(part) * (mask & -mask)
+                word |= int(self._mirror.value(part)) * (mask & -mask)
             return [word]
         entry = self._entry(start)
         if entry is None:
             return [0]
         if entry.access == "wo":
             raise Denied(Reason.NO_OBJECT)
-        packed = struct.pack(f">{entry.code}", self._mirror.value(entry))
+        value = self._mirror.value(entry)
+        packed = struct.pack(f">{entry.code}", value if entry.code == "f" else int(value))
         words = list(struct.unpack(f">{len(packed) // 2}H", packed))
         return words[::-1] if start in layout.low_first else words
 
@@ -157,6 +172,10 @@ class RegisterMap:
         writes: list[tuple[Entry, int]] = []
         left = words
         while left:
+            if start in self._posts:
+                self._posts[start].write(start, left[0])
+                start, left = start + 1, left[1:]
+                continue
             if start in self.layout.bits:
                 writes += self._fields(start, left[0])
                 start, left = start + 1, left[1:]

@@ -32,7 +32,7 @@ class Switchgear:
             if step.until is not None
         }
         switched = {name for name, _ in self._enable} | {"torque_target"}
-        before = _writes(profile.modes[Mode.TORQUE][0].before)
+        before = _writes(profile.modes[Mode.TORQUE][0].before) if profile.moves else []
         self._torque = [write for write in before if write[0] not in switched]
         if profile.watchdog.kind == "none":
             device.firmware.values["watchdog_time"] = 0
@@ -48,7 +48,7 @@ class Switchgear:
             self._control(_QUICK_STOP)
         elif write in self._reset:
             self._control(_RESET, _OFF)
-        elif self._hold(self._enable) and (not held or write == self._enable[-1]):
+        elif self._enable and self._hold(self._enable) and (not held or write == self._enable[-1]):
             torque = self._hold(self._torque)
             self._device.firmware.write(
                 "mode", MODE_CYCLIC_TORQUE if torque else MODE_CYCLIC_POSITION

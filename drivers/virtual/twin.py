@@ -16,13 +16,21 @@ from drivers.virtual.objects import MODES
 from drivers.virtual.registers import CLOCK, Layout, RegisterMap
 from drivers.virtual.switchgear import Switchgear
 from profiles.errors import UsageError
-from profiles.schema import CanopenAddress, ModbusAddress, Parameter, Profile, Unit
+from profiles.schema import (
+    CanopenAddress,
+    MailboxAddress,
+    ModbusAddress,
+    Parameter,
+    Profile,
+    Unit,
+)
 
 __all__ = ["modbus_twin", "twin"]
 
 _TURN = 6.283185307179586  # rad
 _CODES = {
     "i8": "b", "u8": "B", "i16": "h", "u16": "H", "i32": "i", "u32": "I", "i64": "q", "u64": "Q",
+    "f32": "f",
 }  # fmt: skip
 # firmware value: (unit, step) as in docs/virtual-drive.md
 _FIRMWARE: dict[str, tuple[Unit, float]] = {
@@ -92,10 +100,17 @@ def modbus_twin(profile: Profile, device: Device) -> RegisterMap:
     registers = dict(_CLOCK)
     bits: dict[int, tuple[tuple[Entry, int], ...]] = {}
     low_first: set[int] = set()
+    posted: dict[tuple[int, int], Entry] = {}
+    plain: list[ModbusAddress] = []
     for name, parameter in profile.parameters.items():
-        at = _modbus(parameter)
+        at = parameter.address
         keys = behind.get(name) or (_NAMES.get(name, name),)
         entry = _entry(name, keys, profile, axis)
+        if isinstance(at, MailboxAddress):
+            posted[at.pnu, at.sub] = entry
+            continue
+        at = _modbus(parameter)
+        plain.append(at)
         if name == "product_code":
             entry = Entry((), entry.code, "ro", 1.0, _number(profile.identity.product), name)
         if at.bits is not None:
@@ -104,14 +119,14 @@ def modbus_twin(profile: Profile, device: Device) -> RegisterMap:
         registers.setdefault(at.register_, entry)
         if at.word_order == "low-first":
             low_first.add(at.register_)
-    functions = {3, 6, 16} | {_modbus(p).write_function for p in profile.parameters.values()}
-    functions |= {_modbus(p).read_function for p in profile.parameters.values()}
+    functions = {3, 6, 16} | {at.write_function for at in plain}
+    functions |= {at.read_function for at in plain}
     functions |= {23} if profile.cycle.function == "fc23" else set()
     who = profile.identity
     name = f"twin of {profile.name}"
     layout = Layout(
         registers,
-        _modbus(profile.parameters["position_actual"]).register_,
+        _modbus(profile.parameters["position_actual"]).register_ if profile.moves else -1,
         bits,
         frozenset(low_first),
         _between(profile),
@@ -122,6 +137,8 @@ def modbus_twin(profile: Profile, device: Device) -> RegisterMap:
             who.revisions[0] if who.revisions else name,
         ),
         profile.watchdog.kind == "traffic",
+        profile.mailbox,
+        posted,
     )
     keeps = profile.store is not None and not profile.store.steps
     return RegisterMap(device, layout, switchgear, keeps=keeps)
@@ -160,7 +177,10 @@ def _compensation(profile: Profile) -> dict[str, tuple[str, ...]]:
     }  # fmt: skip
     if not law.terms:
         return {}
-    return {name: keys for name, keys in named.items() if name is not None}
+    found = {name: keys for name, keys in named.items() if name is not None}
+    if law.table:
+        found |= {law.table[0].torque: both, law.table[0].speed: ("coulomb_speed",)}
+    return found
 
 
 def _entry(
@@ -176,6 +196,8 @@ def _entry(
         return Entry((), code, "ro", name=name, default=sum(1 << (mode - 1) for mode in MODES))
     if name == "rated_current":
         return Entry((), code, "ro", name=name, default=round(RATED_CURRENT / parameter.scale))
+    if name in profile.own_estimates.values():
+        return Entry((), code, "ro", name=name, default=axis.coulomb / parameter.scale)
     known = [key for key in keys if key in _FIRMWARE]
     if not known:
         wanted = [c.equals for c in profile.requires if c.parameter == name and c.equals]

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import canopen
+import jsonschema
 import pytest
 
 from commissioning.journal import Intent, Journal
 from drivers.home import home
 from drivers.link import axis_of, modbus_wire, open_drive, parse
 from drivers.modbus.client import Client
-from profiles.axis import load_axis
+from profiles.axis import Axis, load_axis
 from profiles.library import builtin_names, load_profile
-from tests.conftest import Serve, Tworelay
+from tests.conftest import ROOT, Serve, Tworelay
 
-PROFILES = [name for name in builtin_names() if load_profile(name).status != "virtual"]
+REAL = [name for name in builtin_names() if load_profile(name).status != "virtual"]
+PROFILES = [name for name in REAL if load_profile(name).moves]
+RUN_SCHEMA = json.loads((ROOT / "docs/run.schema.json").read_text())
 SLOW = 0.02  # kg.m2: an axis that cycles of 10 to 50 ms can follow
 
 
@@ -57,6 +61,60 @@ def test_a_profile_identifies_its_twin(
     assert result["friction"]["inertia"]["value"] == pytest.approx(inertia, rel=0.01)
     if loaded.compensation.law == "none":
         assert result["compensation"] == []
+
+
+def test_a_drive_without_a_torque_command_gets_what_a_recording_shows(
+    serve: Serve, tworelay: Tworelay, tmp_path: Path
+) -> None:
+    assert [name for name in REAL if name not in PROFILES] == ["festo-cmmt"]
+    (link,) = serve("bench", "--profile", "festo-cmmt", "--modbus-tcp", "127.0.0.1:0")
+    asked = ("--profile", "festo-cmmt")
+    done = tworelay("identify", link, *asked, "--travel", "1", "--yes")
+    assert done.returncode == 3
+    assert "no torque command, so no relay experiment can be run" in done.stderr
+    done = tworelay("stop", link, *asked)
+    assert done.returncode == 3
+    assert "no way to stop the drive, which says: disabled" in done.stderr
+
+    recording = tmp_path / "recorded.csv"
+    rows = recorded_oscillation()
+    recording.write_text("\n".join(["time_s,position_rad,torque_Nm", *rows]))
+    done = tworelay("analyze", str(recording), "--for", link, *asked, "--json", str(tmp_path / "j"))
+    assert done.returncode == 0, done.stderr
+    assert "own estimate of the Coulomb friction (kinetic_friction) is 0.1 N.m" in done.stdout
+    jsonschema.validate(json.loads((tmp_path / "j").read_text()), RUN_SCHEMA)
+    done = tworelay("apply", "last", "--yes")
+    assert done.returncode == 0, done.stderr
+    assert "units of the friction table are taken for N.m" in done.stdout
+    drive = open_drive(Axis(link=link, profile="festo-cmmt"))
+    # 85 % of 0.1 N.m, and of 0.002 N.m.s/rad, at 0.5 and 300 rad/s
+    for name, value in (
+        ("friction_velocity_1", 0.5), ("friction_torque_1", 0.0859), ("friction_velocity_2", 300.0),
+        ("friction_torque_2", 0.085 + 0.0017 * 300), ("friction_points", 2), ("constant_torque", 0),
+    ):  # fmt: skip
+        assert drive.read(name) == pytest.approx(value, rel=0.03, abs=2e-3)
+    drive.close()
+    assert tworelay("restore").returncode == 0
+    drive = open_drive(Axis(link=link, profile="festo-cmmt"))
+    assert drive.read("friction_torque_1") == drive.read("friction_points") == 0
+    drive.close()
+
+
+def recorded_oscillation() -> list[str]:
+    """A virtual bench under a square torque of two amplitudes, by small steps: J a = u - f sign(v) - B v."""
+    rows, y, v, step = [], 0.0, 0.0, 1e-5
+    for n in range(200_000):
+        t = n * step
+        u = (0.25 if t < 1.0 else 0.4) * (1 if int(t / 0.05) % 2 == 0 else -1)
+        if n % 100 == 0:
+            rows.append(f"{t:.5f},{y:.8f},{u:.4f}")
+        drive = u - 0.002 * v
+        stuck = v == 0 and abs(drive) <= 0.1
+        a = 0.0 if stuck else (drive - math.copysign(0.1, v or drive)) / 1e-3
+        after = v + a * step
+        v = 0.0 if v * after < 0 else after
+        y += v * step
+    return rows
 
 
 def test_leadshine_gets_per_cents_with_the_sign_of_the_direction_and_stores_them(

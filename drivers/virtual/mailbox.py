@@ -1,0 +1,77 @@
+"""The mailbox of a virtual drive: what lies in its registers, and what executing a request does."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import Protocol
+
+from drivers.virtual.firmware import Denied
+from drivers.virtual.mirror import Entry
+from profiles.schema import Mailbox
+
+__all__ = ["VirtualMailbox"]
+
+_FAILED = 3
+
+
+class Objects(Protocol):
+    """Who knows the values."""
+
+    def value(self, entry: Entry) -> float:
+        """Present value; raises Denied."""
+
+    def set(self, entry: Entry, value: float) -> None:
+        """New value; raises Denied."""
+
+
+class VirtualMailbox:
+    """Words by register; `entries` are the parameters by number and sub-index."""
+
+    def __init__(
+        self, plan: Mailbox, entries: Mapping[tuple[int, int], Entry], objects: Objects
+    ) -> None:
+        self._plan = plan
+        self._entries = entries
+        self._objects = objects
+        self._words: dict[int, int] = {}
+
+    @property
+    def registers(self) -> frozenset[int]:
+        """Those that the mailbox is made of."""
+        plan = self._plan
+        single = (plan.pnu, plan.sub, plan.elements, plan.request, plan.length)
+        return frozenset((*single, *range(plan.data, plan.data + 4)))
+
+    def read(self, register: int) -> int:
+        """Word of one register."""
+        return self._words.get(register, 0)
+
+    def write(self, register: int, word: int) -> None:
+        """A word into one register; the request is executed at once."""
+        self._words[register] = word
+        plan = self._plan
+        if register != plan.request:
+            return
+        entry = self._entries.get((self.read(plan.pnu), self.read(plan.sub)))
+        try:
+            done = entry is not None and self._execute(entry, word)
+        except (Denied, struct.error):
+            done = False
+        self._words[plan.request] = plan.done_code if done else _FAILED
+
+    def _execute(self, entry: Entry, code: int) -> bool:
+        plan = self._plan
+        layout = struct.Struct("<" + entry.code)
+        if code == plan.read_code and entry.access != "wo":
+            value = self._objects.value(entry)
+            packed = layout.pack(value if entry.code == "f" else int(value))
+            self._words[plan.length] = layout.size
+            for n, (word,) in enumerate(struct.iter_unpack("<H", packed + bytes(layout.size % 2))):
+                self._words[plan.data + n] = word
+            return True
+        if code != plan.write_code or entry.access == "ro" or self.read(plan.length) != layout.size:
+            return False
+        words = [self.read(plan.data + n) for n in range(4)]
+        self._objects.set(entry, layout.unpack_from(struct.pack("<4H", *words))[0])
+        return True

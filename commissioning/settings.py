@@ -43,7 +43,7 @@ class Settings:
 
     def __init__(self, journal: Journal, run: str, drive: Drive) -> None:
         self._journal = journal
-        self._run = run
+        self.run = run
         self._drive = drive
 
     def write(self, kind: Kind, parameter: str, new: int) -> bool:
@@ -57,7 +57,7 @@ class Settings:
                 "left as it is"
             )
         self._check_way_back(parameter, old, new)
-        intent = self._journal.intend(self._run, kind, parameter, old, new)
+        intent = self._journal.intend(self.run, kind, parameter, old, new)
         self._drive.write_raw(parameter, new)
         self._journal.settle(intent, "verified")
         return True
@@ -102,7 +102,7 @@ class Settings:
     def restore(self) -> Restored:
         """Put back everything that was set for the experiment; never raises on the way."""
         intents = [
-            i for i in self._journal.intents(self._run, open_only=True) if i.kind == "experiment"
+            i for i in self._journal.intents(self.run, open_only=True) if i.kind == "experiment"
         ]
         outcome = put_back(self._drive, intents, force=True)
         settle(self._journal, intents, outcome)

@@ -16,11 +16,12 @@ __all__ = ["command"]
 @click.argument("target")
 @job_options
 def command(target: str, **arguments: Any) -> None:
-    """Identify the axis at TARGET, apply the compensation, write the report."""
+    """Identify the axis at TARGET, apply the compensation, prove that it helps, write the report."""
     from commissioning.cli import show
     from commissioning.cli.apply import write
     from commissioning.cli.identify import measure
     from commissioning.cli.report import write_report
+    from commissioning.cli.verify import prove
 
     check_json(arguments["json_target"])
     screen = Screen(arguments["json_target"], yes=arguments["yes"])
@@ -28,9 +29,14 @@ def command(target: str, **arguments: Any) -> None:
     if not arguments["dry_run"]:
         show.summary(result, screen)
         if result["compensation"]:
-            result = write(result["run"], None, screen, arguments["json_target"])
+            write(result["run"], None, screen, arguments["json_target"])
+            try:
+                limits = {"without_watchdog": arguments["without_watchdog"]}
+                result = prove(result["run"], None, screen, arguments["json_target"], limits)
+            finally:
+                screen.say(f"report {write_report(result['run'], None)}")
         else:
             screen.say(host_law(result["host_compensation"]))
-        screen.say(f"report {write_report(result['run'], None)}")
+            screen.say(f"report {write_report(result['run'], None)}")
         screen.say(f"run {result['run']}")
     write_json(result, arguments["json_target"])

@@ -29,6 +29,7 @@ def command(clock: str) -> None:
     from commissioning.cli.identify import command as identify
     from commissioning.cli.identify import measure
     from commissioning.cli.report import write_report
+    from commissioning.cli.verify import prove
     from drivers.virtual.axes import AXES
 
     screen = Screen(None, yes=True)
@@ -54,7 +55,9 @@ def command(clock: str) -> None:
             show.summary(result, screen)
             _against_truth(result, truth, screen)
             screen.say(f"\n$ tworelay apply {result['run']} --yes")
-            result = write(result["run"], None, screen, None)
+            write(result["run"], None, screen, None)
+            screen.say(f"\n$ tworelay verify {result['run']} --yes")
+            result = prove(result["run"], None, screen, None, {})
             report = write_report(result["run"], None)
         finally:
             server.terminate()

@@ -8,7 +8,7 @@ from typing import Any
 from commissioning.cli.terminal import Screen
 from commissioning.report.words import GAINS, duration, host_law
 
-__all__ = ["outcome", "proposal", "summary"]
+__all__ = ["outcome", "proposal", "summary", "verification"]
 
 _NAMES = {
     "coulomb": "Coulomb friction",
@@ -202,6 +202,32 @@ def outcome(result: dict[str, Any], screen: Screen) -> None:
     else:
         screen.say(host_law(result["host_compensation"]))
     screen.say(f"run {result['run']}")
+
+
+def verification(result: dict[str, Any], screen: Screen) -> None:
+    """How the axis followed, without and with the compensation."""
+    found = result["verification"]
+    unit = found["unit"]
+    rows = [
+        [
+            f"{100 * step['fraction']:g} %" if step["fraction"] else "none",
+            number(step["reversal_error"]),
+            number(step["low_speed_error"]),
+            f"±{step['rest_swing']:.2g}",
+            "hunts" if step["hunts"] else "",
+            "stays" if step["kept"] else "",
+        ]
+        for step in found["steps"]
+    ]
+    columns = ["compensation", "after reversals", "at low speed", "at rest", "", ""]
+    screen.table(f"following error in {unit}: peak, rms, half-swing", columns, rows)
+    before = found["steps"][0]
+    kept = next(step for step in found["steps"] if step["kept"])
+    less = 100 * (1 - kept["reversal_error"] / before["reversal_error"])
+    screen.say(
+        f"verified: {less:.0f} % less error after reversals with {100 * kept['fraction']:g} % of the "
+        "friction compensated; these values are in the drive"
+    )
 
 
 def proposal(items: list[dict[str, Any]], screen: Screen) -> None:

@@ -17,6 +17,7 @@ from commissioning.runs import Samples
 from commissioning.tuning.margins import LEAST_MARGIN
 
 __all__ = [
+    "following",
     "friction_curve",
     "loci",
     "loci_svg",
@@ -341,6 +342,28 @@ def friction_curve(result: dict[str, Any]) -> str:
         axes.set_xlabel(f"speed in {units['position']}/s")
         axes.set_ylabel(f"friction in {units['effort']}")
         axes.legend(loc="lower right", fontsize=8)
+        return _svg(figure)
+
+
+def following(result: dict[str, Any]) -> str:
+    """Following error after reversals, without compensation and with what stays."""
+    found = result["verification"]
+    steps = found["steps"]
+    after = next((step for step in steps if step["kept"]), steps[-1])
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(9.2, 3.6), layout="constrained")
+        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1, 2))
+        before = steps[0]["trace"]
+        top.plot(before["time"], before["command"], color=GREY, lw=1.0)
+        top.set_ylabel(f"command, {found['unit']}")
+        bottom.plot(before["time"], before["error"], color=ORANGE, lw=1.0, ls="--", label="without")
+        trace, share = after["trace"], 100 * after["fraction"]
+        bottom.plot(
+            trace["time"], trace["error"], color=BLUE, lw=1.3, label=f"{share:g} % compensated"
+        )
+        bottom.set_ylabel(f"error, {found['unit']}")
+        bottom.set_xlabel("time in s")
+        bottom.legend(loc="upper right", ncols=2)
         return _svg(figure)
 
 

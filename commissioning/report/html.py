@@ -47,6 +47,8 @@ def _render(result: dict[str, Any], samples: Samples | None, journal: dict[str, 
                 pictures["curve"] = markupsafe.Markup(figures.friction_curve(result))  # noqa: S704
             pictures["nyquist"] = markupsafe.Markup(figures.nyquist(result))  # noqa: S704
             pictures["loci"] = markupsafe.Markup(figures.loci_svg(result))  # noqa: S704
+    if result.get("verification"):
+        pictures["verification"] = markupsafe.Markup(figures.following(result))  # noqa: S704
     for loop in dict.fromkeys(item["loop"] for item in result["tuning"]):
         pictures[f"tuning_{loop}"] = markupsafe.Markup(figures.tuning(result, loop))  # noqa: S704
     environment = jinja2.Environment(

@@ -24,7 +24,7 @@ from profiles.errors import (
 )
 from profiles.schema import Profile, Trust, Unit
 
-__all__ = ["apply", "restore", "stop"]
+__all__ = ["STORED", "apply", "axis_of_run", "restore", "stop", "store", "unverified"]
 
 
 STORED = "stored"
@@ -117,7 +117,8 @@ def apply(
             present.append({**item, "old_raw": now.old, "old": old})
         show(present)
         stored = drive.profile.store is None or desk.journal.noted(run_id, STORED)
-        _verified(drive.profile, wanted, constant_known=axis.torque_constant is not None)
+        names = [w.parameter for w in wanted]
+        unverified(drive.profile, names, constant_known=axis.torque_constant is not None)
         if drive.profile.compensation.note:
             desk.tell(drive.profile.compensation.note)
         if any(w.old != w.new for w in wanted) or not stored:
@@ -133,15 +134,16 @@ def apply(
     return result
 
 
-def _verified(profile: Profile, wanted: list[_Wanted], *, constant_known: bool) -> None:
+def unverified(profile: Profile, names: list[str], *, constant_known: bool) -> None:
     """Raise Refused where a value would go to an address, or be scaled by a base, that nobody verified."""
+    parameters = {name: profile.parameters[name] for name in names}
     doubtful = [
-        f"{w.parameter} ({profile.parameters[w.parameter].address})"
-        for w in wanted
-        if profile.parameters[w.parameter].trust is Trust.UNVERIFIED
+        f"{name} ({parameter.address})"
+        for name, parameter in parameters.items()
+        if parameter.trust is Trust.UNVERIFIED
     ]
     base = profile.parameters.get("rated_current")
-    currents = [w.parameter for w in wanted if profile.parameters[w.parameter].unit is Unit.CURRENT]
+    currents = [name for name, parameter in parameters.items() if parameter.unit is Unit.CURRENT]
     if currents and not constant_known and base is not None and base.trust is Trust.UNVERIFIED:
         raise Refused(
             f"{', '.join(currents)} is a current, and profile '{profile.name}' marks the rated current "
@@ -191,7 +193,7 @@ def _write(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted]) -> None
                     desk.interruption.check()
                 if settings.write(item.kind, item.parameter, item.new):
                     desk.tell(f"{item.parameter}: {item.old} → {item.new}, read back")
-            _store(drive, desk, run_id, wanted)
+            store(drive, desk, run_id, {item.parameter: item.new for item in wanted})
     except TwoRelayError as error:
         text = (
             f"{error}; what was written so far is in the journal: 'tworelay restore {run_id}' puts "
@@ -201,8 +203,8 @@ def _write(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted]) -> None
         raise
 
 
-def _store(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted]) -> None:
-    """Store, and see that the values are still there; raises WriteFailed."""
+def store(drive: Drive, desk: Desk, run_id: str, wanted: dict[str, int]) -> None:
+    """Store, and see that the raw values `wanted` are still there; raises WriteFailed."""
     if drive.profile.store is None:
         desk.tell(
             f"profile '{drive.profile.name}' has no store procedure: the values are lost at power-off"
@@ -210,10 +212,10 @@ def _store(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted]) -> None
         return
     drive.store()
     desk.journal.note(run_id, STORED)
-    for item in wanted:
-        there = drive.read_raw(item.parameter)
-        if there != item.new:
-            raise WriteFailed(f"'{item.parameter}' reads {there} after the store, not {item.new}")
+    for name, raw in wanted.items():
+        there = drive.read_raw(name)
+        if there != raw:
+            raise WriteFailed(f"'{name}' reads {there} after the store, not {raw}")
     desk.tell("stored in the drive's non-volatile memory, read back again")
 
 

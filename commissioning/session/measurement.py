@@ -15,6 +15,7 @@ from commissioning.experiments.design import LONG, SHORT, RelayDesign, design
 from commissioning.experiments.first_look import STEPS, FirstLook, first_look, torque_steps
 from commissioning.experiments.plan import Context, Plan, stand
 from commissioning.experiments.stopping import Stopping, run_up
+from commissioning.experiments.tracking import TrackingPath, TrackingSamples, track
 from commissioning.experiments.two_relay import Solver
 from commissioning.identification.modulating import ModulatingEstimate
 from commissioning.identification.record import Record, unfiltered
@@ -112,13 +113,13 @@ class Measurement:
 
     def measure(self) -> Measured:
         """All experiments; the oscillations are run as often as `repeat` says."""
-        return self._within_settings(self._experiments)
+        return self.within_settings(self._experiments)
 
     def torque_steps(self) -> Record:
         """Short pushes both ways at low speed, and nothing else."""
-        return self._within_settings(self._torque_steps)
+        return self.within_settings(self._torque_steps)
 
-    def _within_settings(self, work: Callable[[], T]) -> T:
+    def within_settings(self, work: Callable[[], T]) -> T:
         """The drive's limits and watchdog around `work`; put back on every way out."""
         failure: BaseException | None = None
         try:
@@ -130,6 +131,14 @@ class Measurement:
             raise
         finally:
             self._put_back(failure)
+
+    def follow(self, path: TrackingPath) -> TrackingSamples:
+        """Follow a path in position mode; its samples are no part of the torque record."""
+        envelope = replace(self.envelope, speed=self.limits.speed, stage="", rated=inf, thermal=inf)
+        return run(
+            track(self.context, path), self.drive, envelope, Recorder(), self.desk.interruption,
+            mode=Mode.POSITION,
+        )  # fmt: skip
 
     def _put_back(self, error: BaseException | None) -> None:
         with self.desk.interruption.deferred():

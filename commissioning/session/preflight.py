@@ -17,7 +17,7 @@ from profiles.schema import Mode
 __all__ = ["Limits", "choose_limits", "look", "prove_watchdog", "set_limits", "writes"]
 
 _AT_REST_COUNTS = 3
-_LOOK = 0.05  # s
+_LOOK, _LOOKS = 0.05, 20  # s; it may still settle from what was before
 _CYCLES_A_WATCHDOG = 3
 _FEWEST_COUNTS = 500  # of travel
 _PROOF_CYCLES = 5
@@ -78,15 +78,24 @@ def look(drive: Drive, axis: Axis) -> None:
                 f"this drive's compensation acts in torque mode too, and {', '.join(active)} is not "
                 "zero: the friction would be measured less what is compensated; set it to zero first"
             )
-    before = drive.read("position_actual")
-    drive.wait(_LOOK)
-    moved = abs(drive.read("position_actual") - before)
-    step = drive.scaling.step(drive.profile.parameters["position_actual"])
-    if moved > _AT_REST_COUNTS * step:
+    moved = _moved(drive)
+    if moved:
         raise PreflightRefused(
             f"the axis moves by itself: {moved:.3g} {axis.position_unit} in {_LOOK:g} s; bring it "
             "to rest first"
         )
+
+
+def _moved(drive: Drive) -> float:
+    """How far the axis moves by itself in a moment, rad or m; 0 as soon as it is at rest."""
+    step = drive.scaling.step(drive.profile.parameters["position_actual"])
+    for _ in range(_LOOKS):
+        before = drive.read("position_actual")
+        drive.wait(_LOOK)
+        moved = abs(drive.read("position_actual") - before)
+        if moved <= _AT_REST_COUNTS * step:
+            return 0.0
+    return moved
 
 
 def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:

@@ -1,0 +1,72 @@
+"""tworelay verify RUN."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import click
+
+from commissioning.cli.options import verbose
+from commissioning.cli.terminal import (
+    Finite,
+    Screen,
+    at_desk,
+    check_json,
+    travel_from,
+    write_json,
+)
+
+__all__ = ["command", "prove"]
+
+
+@click.command("verify")
+@click.argument("run")
+@click.option("--link", help="Reach the drive by this LINK instead of the run's own.")
+@click.option("--travel", metavar="±X", help="Room about the present position; default: the run's.")
+@click.option(
+    "--max-speed", type=Finite(0, min_open=True), help="rad/s or m/s; default: the run's."
+)
+@click.option("--cycle", type=Finite(0.0002, 0.5), help="s, of the exchange.")
+@click.option("--without-watchdog", is_flag=True, help="As in identify.")
+@click.option("--yes", is_flag=True, help="Confirm in advance.")
+@click.option(
+    "--json", "json_target", metavar="F", help="Result as JSON to F, '-' for standard output."
+)
+@verbose
+def command(run: str, link: str | None, yes: bool, json_target: str | None, **limits: Any) -> None:
+    """Prove that RUN's compensation helps: the axis follows a slow motion without and with it.
+
+    The compensation is raised in steps; the last one without harm stays in the drive and is stored, or none.
+    """
+    check_json(json_target)
+    screen = Screen(json_target, yes=yes)
+    limits["travel"] = travel_from(limits["travel"])
+    result = prove(run, link, screen, json_target, limits)
+    write_json(result, json_target)
+    screen.say(f"run {result['run']}")
+
+
+def prove(
+    run: str, link: str | None, screen: Screen, json_target: str | None, limits: dict[str, Any]
+) -> dict[str, Any]:
+    """Verify with the outcome shown; on failure write the JSON too, then raise."""
+    from commissioning.cli import show
+    from commissioning.runs import resolve
+    from commissioning.session.verify import verify
+    from profiles.errors import TwoRelayError, UsageError
+
+    with at_desk(screen) as desk:
+        try:
+            with screen.working("verifying"):
+                result = verify(run, link, desk, limits)
+        except TwoRelayError as error:
+            if error.exit_code >= 3:
+                with contextlib.suppress(UsageError):  # the first error is the one to be told
+                    result = resolve(desk.journal, run)[1].result()
+                    result["status"] = error.status
+                    result["quality"]["reasons"] = [str(error)]
+                    write_json(result, json_target)
+            raise
+    show.verification(result, screen)
+    return result

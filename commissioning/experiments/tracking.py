@@ -1,0 +1,79 @@
+"""Slow motion in position mode: reversals, low speed, rest. Set-points are positions, rad or m."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, pi
+
+from commissioning.experiments.plan import Context, Plan
+from drivers.sample import Sample
+
+__all__ = ["TURNS", "TrackingPath", "TrackingSamples", "path_for", "track"]
+
+_SHARE = 0.2  # of the travel: amplitude of the reversals
+_SPEED = 0.1  # of the speed limit, at most
+_PERIOD = 2.0  # s, at least
+_INERTIAL = 0.3  # torque that accelerates the axis, in shares of the friction, at most
+TURNS = 2  # that are looked at
+_CREEP = 0.05  # of the amplitude: distance of the low-speed part
+_CREEP_TIME = 2.0  # s, one way
+_REST_TIME = 2.0  # s
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingPath:
+    """What is followed, from and back to the start.
+
+    Attributes
+    ----------
+    amplitude : half-swing of the reversals, rad or m; the axis moves by twice that to one side
+    period : s
+    creep : distance of the low-speed part, rad or m
+    """
+
+    amplitude: float
+    period: float
+    creep: float
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingSamples:
+    """Samples of each part."""
+
+    reversals: list[Sample]
+    creep: list[Sample]
+    rest: list[Sample]
+
+
+def path_for(context: Context, coulomb: float, inertia: float | None) -> TrackingPath:
+    """A path so slow that friction and not inertia makes the error."""
+    amplitude = max(_SHARE * context.travel, 50 * context.resolution)
+    slow = pi * 2 * amplitude / (_SPEED * context.speed)  # s: peak speed 2 pi A / T
+    light = 2 * pi * (amplitude * (inertia or 0.0) / (_INERTIAL * coulomb)) ** 0.5
+    creep = max(_CREEP * amplitude, 20 * context.resolution)
+    return TrackingPath(amplitude, max(_PERIOD, slow, light), creep)
+
+
+def track(context: Context, path: TrackingPath) -> Plan[TrackingSamples]:
+    """Follow the path; the position command begins and ends at the start with no speed."""
+    start, count, way = (
+        context.start,
+        *(round(seconds / context.cycle) for seconds in (path.period, _CREEP_TIME)),
+    )
+    turn = [start + path.amplitude * (1 - cos(2 * pi * n / count)) for n in range(1, count + 1)]
+    out = [start + path.creep * n / way for n in range(1, way + 1)]
+    back = [start + path.creep * (1 - n / way) for n in range(1, way + 1)]
+    yield from _follow(turn)  # the first turn is not looked at
+    return TrackingSamples(
+        reversals=(yield from _follow(TURNS * turn)),
+        creep=(yield from _follow(out + back)),
+        rest=(yield from _follow(round(_REST_TIME / context.cycle) * [start])),
+    )
+
+
+def _follow(positions: list[float]) -> Plan[list[Sample]]:
+    samples = []
+    for position in positions:
+        sample = yield position
+        samples.append(sample)
+    return samples

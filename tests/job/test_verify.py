@@ -1,0 +1,113 @@
+"""verify: the compensation is proved where it acts, and stays only if it helps."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from commissioning.journal import Journal
+from drivers.home import home
+from drivers.link import axis_of, open_drive
+from tests.conftest import ROOT, WIRES, Serve, Tworelay, real_time, running
+
+SCHEMA = json.loads((ROOT / "docs/run.schema.json").read_text())
+NAMES = ("coulomb_positive", "coulomb_negative", "viscous_gain", "torque_offset")
+
+
+def values(link: str) -> list[int]:
+    drive = open_drive(axis_of(link))
+    assert not drive.is_energised()
+    assert drive.read_raw("max_torque") == 3000
+    found = [drive.read_raw(name) for name in NAMES]
+    drive.close()
+    return found
+
+
+def identified(tworelay: Tworelay, link: str) -> dict[str, Any]:
+    patient = (
+        ("--cycle", "0.01", "--watchdog", "0.2") if "clock=wall" in link else ("--cycle", "0.004")
+    )
+    done = tworelay("identify", link, "--travel", "20", "--yes", "--json", "-", *patient)
+    assert done.returncode == 0, done.stderr
+    result: dict[str, Any] = json.loads(done.stdout)
+    return result
+
+
+@pytest.mark.parametrize("live", ["modbus-tcp", "socketcand"])
+def test_what_helps_stays_and_is_stored(
+    serve: Serve, tworelay: Tworelay, tmp_path: Path, live: str
+) -> None:
+    link = serve("bench", *WIRES[live], "--clock", "step")[0]
+    run = identified(tworelay, link)["run"]
+    done = tworelay("verify", run, "--yes", "--json", "-")
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    jsonschema.validate(result, SCHEMA)
+    found = result["verification"]
+    assert [step["fraction"] for step in found["steps"]] == [0, 0.5, 0.7, 0.85]
+    errors = [step["reversal_error"] for step in found["steps"]]
+    assert errors == sorted(errors, reverse=True)
+    # what is left of a reversal is in proportion to the friction that is left (the loop is linear)
+    assert errors[1] / errors[0] == pytest.approx(0.5, abs=0.12)
+    assert errors[3] / errors[0] == pytest.approx(0.15, abs=0.2)
+    assert found["kept_fraction"] == 0.85
+    assert values(link)[:2] == [85, 85]
+    stored = json.loads((tmp_path / "drive-0.json").read_text())
+    assert stored["coulomb_positive"] == 85
+    page = Path(tworelay("report", run).stdout.strip()).read_text()
+    assert "Does it help?" in page
+    assert "in the drive now" in page
+    assert tworelay("restore", run).returncode == 0
+    assert values(link) == [0, 0, 0, 0]
+
+
+def test_what_makes_no_difference_does_not_stay(serve: Serve, tworelay: Tworelay) -> None:
+    """4096 counts a turn: its following error is the encoder's, not friction's."""
+    (link,) = serve("mx106", *WIRES["modbus-tcp"], "--clock", "step")
+    done = tworelay("commission", link, "--travel", "3.14", "--yes", "--json", "-")
+    assert done.returncode == 7
+    assert "the compensation does not help: error after reversals" in done.stderr
+    assert "the values from before the run are back in the drive" in done.stderr
+    drive = open_drive(axis_of(link))
+    assert [drive.read_raw(name) for name in NAMES] == [0, 0, 0, 0]
+    drive.close()
+    result = json.loads(done.stdout)
+    assert result["verification"]["kept_fraction"] is None
+
+
+@real_time
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_interrupted_in_mid_step_the_drive_has_what_it_had(
+    serve: Serve, tworelay: Tworelay
+) -> None:
+    (link,) = serve("bench", *WIRES["modbus-tcp"])
+    run = identified(tworelay, f"{link}&clock=wall")["run"]
+    with running("verify", run, "--yes", "--cycle", "0.01") as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if "50 %" in line:
+                break
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert "interrupted by SIGINT" in errors
+    assert values(link) == [0, 0, 0, 0]
+
+
+def test_what_cannot_be_seen_at_work_is_refused(serve: Serve, tworelay: Tworelay) -> None:
+    twin = ("--profile", "elmo-gold", "--socketcand", "127.0.0.1:0", "--clock", "step")
+    (link,) = serve("bench", *twin)
+    done = tworelay("identify", link, "--travel", "30", "--yes")
+    assert done.returncode == 0, done.stderr
+    done = tworelay("verify", "last", "--yes")
+    assert done.returncode == 3
+    assert "cannot be verified: it proposes no compensation" in done.stderr
+    with Journal(home()) as journal:
+        run = journal.run("last").id
+    assert tworelay("verify", run + "x", "--yes").returncode == 2

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
+from commissioning.ownership import owned
 from drivers.drive import Drive
 from drivers.link import is_simulated, open_drive
 from profiles.axis import Axis
@@ -88,14 +89,19 @@ def _alive(pid: int) -> bool:
 def connect(
     axis: Axis, cycle: float | None, desk: Desk, *, to_stop: bool = False
 ) -> Generator[Drive]:
-    """The drive of `axis`; closed, and stopped if need be, on every way out."""
+    """The drive of `axis`; closed, and stopped if need be, on every way out.
+
+    Raises Refused while another process has it; `to_stop` does not ask.
+    """
     _allowed_here(axis)
-    drive = open_drive(axis, cycle=cycle, trace=desk.trace, to_stop=to_stop)
-    try:
-        yield drive
-    finally:
-        with desk.interruption.deferred():
-            drive.close()
+    lock = owned(axis.link) if axis.link and not to_stop else contextlib.nullcontext()
+    with lock:
+        drive = open_drive(axis, cycle=cycle, trace=desk.trace, to_stop=to_stop)
+        try:
+            yield drive
+        finally:
+            with desk.interruption.deferred():
+                drive.close()
 
 
 def _allowed_here(axis: Axis) -> None:

@@ -376,6 +376,25 @@ def test_a_run_killed_with_a_profile_of_its_own_can_be_restored(
 
 @real_time
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_drive_has_one_owner_and_a_dead_one_is_none(
+    tworelay: Tworelay, serve: Serve, tmp_path: Path
+) -> None:
+    link = serve("bench", *WIRES["modbus-tcp"])[0]
+    with running("identify", link, *PATIENT, *LONG) as process:
+        wait_for(process, "staging")
+        refused = tworelay(
+            "identify", link, *PATIENT, environment={"TWORELAY_HOME": str(tmp_path / "other")}
+        )
+        one_line(refused, 3, f"another tworelay (process {process.pid}) has the drive on {link}")
+        process.kill()
+        process.wait(10)
+    done = tworelay("restore")
+    assert done.returncode == 0, done.stderr
+    assert_safe_and_complete(link)
+
+
+@real_time
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_killed_in_mid_test_the_drive_stops_and_restore_completes(
     tworelay: Tworelay, serve: Serve, live_wire: str
 ) -> None:

@@ -10,6 +10,7 @@ from typing import TypeVar
 
 from commissioning.envelope import Envelope
 from commissioning.experiments.plan import Plan
+from commissioning.guardian import NOBODY, Guardian
 from commissioning.interruption import Interruption
 from drivers.drive import Drive, StopReport
 from drivers.realtime import real_time
@@ -53,6 +54,7 @@ def run(
     mode: Mode = Mode.TORQUE,
     rest: float = 0.0,
     leave_moving: bool = False,
+    guardian: Guardian = NOBODY,
 ) -> T:
     """Drive `plan` to its end; the axis is stopped and de-energised on every way out.
 
@@ -60,6 +62,7 @@ def run(
     ----------
     rest : set-point in force before the first and after the last command
     leave_moving : the plan ends in motion and the stop path ends it
+    guardian : fed once a cycle
 
     Raises
     ------
@@ -69,18 +72,20 @@ def run(
     """
     watch = envelope.watch()
     record, check, admit = recorder.samples.append, watch.check, watch.admit
-    exchange, send = drive.exchange, plan.send
+    exchange, send, feed = drive.exchange, plan.send, guardian.feed
     urgent = real_time() if drive.in_real_time else nullcontext()
     with interruption.deferred(), _collector_off(), urgent:
         try:
             interruption.check()
             drive.enable(mode, rest)
             set_point = next(plan)
+            guardian.arm()
             try:
                 while True:
                     if mode is Mode.TORQUE:
                         admit(set_point)
                     sample = exchange(set_point)
+                    feed()
                     record(sample)
                     if not sample.status.enabled:
                         raise DriveFault(_fault_text(drive))
@@ -90,11 +95,13 @@ def run(
                     set_point = send(sample)
             except StopIteration as end:
                 result: T = end.value
+            guardian.rest()
             if leave_moving:
                 verified(drive.stop(interruption.hurried), None)
             else:
                 drive.disable()
         except BaseException as error:
+            guardian.rest()
             verified(drive.stop(interruption.hurried), error)
             plan.close()
             raise

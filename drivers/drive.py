@@ -10,7 +10,7 @@ from drivers.sample import Sample
 from drivers.scaling import Scaling
 from profiles.schema import Address, Identity, Mode, Profile
 
-__all__ = ["Bus", "Drive", "Exchange", "StopReport"]
+__all__ = ["Bus", "Drive", "Exchange", "StopFrames", "StopReport"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +31,14 @@ class StopReport:
             "is at rest; use the emergency stop",
         }[self.deenergised]
         return "; ".join([state, *self.failures[:1]])
+
+
+@dataclass(frozen=True, slots=True)
+class StopFrames:
+    """What stops a drive on a port that has one owner: bytes, and how long to wait after each, s."""
+
+    descriptor: int
+    frames: tuple[tuple[bytes, float], ...]
 
 
 class Drive(Protocol):
@@ -102,6 +110,9 @@ class Drive(Protocol):
     def wait(self, seconds: float) -> None:
         """Let time pass without a command."""
 
+    def stop_frames(self) -> StopFrames | None:
+        """What another process writes to our port to stop the drive; None: it connects by itself."""
+
     def stop(self, hurry: Callable[[], bool] = ...) -> StopReport:
         """Make the axis safe first, then say what was reached. Never raises."""
 
@@ -144,6 +155,12 @@ class Bus(Protocol):
 
     def post(self, address: Address, raw: int) -> None:
         """Write without waiting for anything, by every way the bus has. For the stop path."""
+
+    def descriptor(self) -> int | None:
+        """Of the port, where it has one owner; None: others connect by themselves."""
+
+    def frame(self, address: Address, raw: int) -> bytes:
+        """What is written to the port for `post`."""
 
     def start(self, idle: tuple[int, ...]) -> None:
         """Make the cycle ready; `idle` are the raw values of `cycle.out` that do nothing."""

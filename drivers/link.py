@@ -20,7 +20,16 @@ from profiles.schema import Identity, Profile
 if TYPE_CHECKING:
     from drivers.modbus.wires import Wire
 
-__all__ = ["Link", "axis_of", "is_simulated", "modbus_wire", "open_can", "open_drive", "parse"]
+__all__ = [
+    "Link",
+    "axis_of",
+    "is_simulated",
+    "modbus_wire",
+    "open_can",
+    "open_drive",
+    "open_to_stop",
+    "parse",
+]
 
 SCHEMES = ("virtual", "modbus-tcp", "modbus-rtu", "modbus-rtu-tcp", "modbus-tls", "canopen")
 _MODBUS_PORT, _SECURE_PORT = 502, 802
@@ -166,6 +175,39 @@ def open_drive(
         raise
 
 
+def open_to_stop(axis: Axis) -> ProfiledDrive:
+    """A way to stop the drive of `axis`, whose profile is known: nothing is asked, nothing is sent yet.
+
+    Raises UsageError, LinkError.
+    """
+    if axis.link is None or axis.profile is None:
+        raise UsageError(f"axis '{axis.name}' has no link or no profile")
+    link, profile = parse(axis.link), load_profile(axis.profile)
+    cycle = axis.cycle or profile.link.cycle
+    bus: Bus
+    if link.scheme == "canopen":
+        from drivers.canopen.bus import CanopenBus
+        from drivers.canopen.wire import CanWire
+
+        node = link.integer("node", 1, 127) or profile.link.node or 1
+        wire = CanWire(open_can(link, profile), node, _timeout(link, profile))
+        bus = CanopenBus(wire, profile, WallPace(cycle))
+    else:
+        from drivers.modbus.bus import ModbusBus
+        from drivers.modbus.client import Client
+
+        client = Client(modbus_wire(link, profile), _unit(link, profile), _timeout(link, profile))
+        bus = ModbusBus(client, profile, WallPace(cycle))
+    return ProfiledDrive(bus, profile, axis, link.text, to_stop=True)
+
+
+def _unit(link: Link, profile: Profile | None) -> int:
+    unit = link.integer("unit", 0, 255)
+    if unit is not None:
+        return unit
+    return profile.link.unit if profile and profile.link.unit is not None else 1
+
+
 def _open_virtual(
     link: Link, axis: Axis, profile: Profile | None, cycle: float | None, _trace: Trace | None
 ) -> tuple[Bus, Profile]:
@@ -205,10 +247,7 @@ def _open_modbus(
     from drivers.modbus.client import Client
 
     wire = modbus_wire(link, profile)
-    unit = link.integer("unit", 0, 255)
-    if unit is None:
-        unit = profile.link.unit if profile and profile.link.unit is not None else 1
-    client = Client(wire, unit, _timeout(link, profile), trace)
+    client = Client(wire, _unit(link, profile), _timeout(link, profile), trace)
     try:
         chosen = _armed_with(_agree(identify(client), "modbus", profile), axis)
         return ModbusBus(client, chosen, _pace(link, cycle or chosen.link.cycle)), chosen

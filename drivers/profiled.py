@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import isnan, nan
 
-from drivers.drive import Bus, Exchange, StopReport
+from drivers.drive import Bus, Exchange, StopFrames, StopReport
 from drivers.power import perform, power_of
 from drivers.sample import Sample
 from drivers.scaling import Scaling
@@ -44,6 +44,8 @@ _COUNTED_IN_RATED = {
 _COUNTED_IN_INCREMENTS = {Unit.INCREMENT, Unit.INCREMENT_PER_SECOND}
 _POLL = 0.005  # s between two looks at a state
 _MODE_CHANGE = 2.0  # s
+_BETWEEN_FRAMES = 0.03  # s, for an answer that nobody reads
+_REPEATS = 3  # of frames that nobody confirms
 
 
 class ProfiledDrive:
@@ -430,6 +432,24 @@ class ProfiledDrive:
         self._bus.wait(seconds)
 
     # -- stop ------------------------------------------------------------------------------------
+
+    def stop_frames(self) -> StopFrames | None:
+        """What another process writes to our port to stop the drive; None: it connects by itself."""
+        descriptor = self._bus.descriptor()
+        if descriptor is None:
+            return None
+
+        def frames(steps: tuple[Step, ...]) -> list[tuple[bytes, float]]:
+            return [
+                (self._bus.frame(self._parameter(s.write).address, s.raw), _BETWEEN_FRAMES)
+                for s in steps
+                if s.write is not None and s.raw is not None
+            ]
+
+        rest = self._bus.frame(self._set_point.address, self._rest_raw)
+        halt = [(rest, _BETWEEN_FRAMES), *frames(self.profile.stop)] * _REPEATS
+        halt[-1] = (halt[-1][0], self.profile.stop_time)
+        return StopFrames(descriptor, (*halt, *frames(self.profile.disable) * _REPEATS))
 
     def stop(self, hurry: Callable[[], bool] = lambda: False) -> StopReport:
         """Rest set-point and quick stop at once, then look, then take the energy away, then look.

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
+from commissioning.guardian import guarded
 from commissioning.runner import Recorder
 from commissioning.runs import RunFolder, Samples
 from commissioning.session.desk import Desk, Options, connect, none_unfinished
@@ -85,7 +86,10 @@ def _run(
     folder.save(result, None, profile_text)  # so that `restore` knows the drive after a crash
     try:
         settings = Settings(desk.journal, run_id, drive)
-        work(Measurement(axis, options, desk, drive, limits, recorder, settings), result)
+        home = desk.journal.folder
+        with guarded(drive, axis, folder.profile_path(), run_id, home) as guardian:
+            job = Measurement(axis, options, desk, drive, limits, recorder, settings, guardian)
+            work(job, result)
         result["status"] = "completed"
     except TwoRelayError as error:
         result["friction"] = blank(axis, drive.link, drive.profile, identity)["friction"]

@@ -17,6 +17,7 @@ from commissioning.experiments.plan import Context, Plan, stand
 from commissioning.experiments.stopping import Stopping, run_up
 from commissioning.experiments.tracking import TrackingPath, TrackingSamples, track
 from commissioning.experiments.two_relay import Solver
+from commissioning.guardian import Guardian
 from commissioning.identification.modulating import ModulatingEstimate
 from commissioning.identification.record import Record, unfiltered
 from commissioning.identification.verdict import Units
@@ -69,6 +70,7 @@ class Measurement:
         limits: Limits,
         recorder: Recorder,
         settings: Settings,
+        guardian: Guardian,
     ) -> None:
         self.axis = axis
         self.options = options
@@ -77,6 +79,7 @@ class Measurement:
         self.limits = limits
         self.recorder = recorder
         self.settings = settings
+        self.guardian = guardian
         parameters = drive.profile.parameters
         self.context = Context(
             cycle=drive.cycle,
@@ -137,7 +140,7 @@ class Measurement:
         envelope = replace(self.envelope, speed=self.limits.speed, stage="", rated=inf, thermal=inf)
         return run(
             track(self.context, path), self.drive, envelope, Recorder(), self.desk.interruption,
-            mode=Mode.POSITION,
+            mode=Mode.POSITION, guardian=self.guardian,
         )  # fmt: skip
 
     def _put_back(self, error: BaseException | None) -> None:
@@ -158,7 +161,7 @@ class Measurement:
         envelope = replace(self.envelope, spent=spent, heat=self._heat_left())
         return run(
             plan, self.drive, envelope, self.recorder, self.desk.interruption,
-            rest=rest, leave_moving=leave_moving,
+            rest=rest, leave_moving=leave_moving, guardian=self.guardian,
         )  # fmt: skip
 
     def _torque_steps(self) -> Record:
@@ -335,6 +338,7 @@ class Measurement:
         torque = run(
             balancing_torque(replace(self.context, start=start)),
             self.drive, envelope, self.recorder, self.desk.interruption, mode=Mode.POSITION,
+            guardian=self.guardian,
         )  # fmt: skip
         # the position commands were no torques: they do not belong to the torque record
         del self.recorder.samples[before:]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from commissioning.experiments.tracking import TURNS, TrackingPath, TrackingSamples, path_for
+from commissioning.guardian import guarded
 from commissioning.identification.tracking import TrackingError, at_rest, creeping, reversal_error
 from commissioning.journal import RunRecord
 from commissioning.runner import Recorder
@@ -70,8 +71,13 @@ def verify(run: str, link: str | None, desk: Desk, limits: dict[str, Any]) -> di
     axis = axis_of_run(record, folder, link)
     options = _options(result, limits)
     with connect(axis, options.cycle, desk) as drive:
-        job = _job(drive, axis, options, desk, record, result)
-        steps, kept = _with_steps(job, result)
+        _look(drive, axis, options, desk, record)
+        settings = Settings(desk.journal, run_id, drive)
+        room = choose_limits(drive, axis, options)
+        with guarded(drive, axis, folder.profile_path(), run_id, desk.journal.folder) as guardian:
+            recorder = Recorder(on_phase=desk.tell)
+            job = Measurement(axis, options, desk, drive, room, recorder, settings, guardian)
+            steps, kept = _with_steps(job, result)
     unit = axis.position_unit
     result["verification"] = {
         "unit": unit,
@@ -120,14 +126,7 @@ def _options(result: dict[str, Any], limits: dict[str, Any]) -> Options:
     return Options(**{**named, **given})
 
 
-def _job(
-    drive: Drive,
-    axis: Axis,
-    options: Options,
-    desk: Desk,
-    record: RunRecord,
-    result: dict[str, Any],
-) -> Measurement:
+def _look(drive: Drive, axis: Axis, options: Options, desk: Desk, record: RunRecord) -> None:
     """Everything that is looked at before the axis may move."""
     identity = drive.identity()
     same_drive(identity, record.serial, record.id, drive.link, desk)
@@ -151,11 +150,6 @@ def _job(
         axis.name,
     )
     look(drive, axis)
-    settings = Settings(desk.journal, record.id, drive)
-    recorder = Recorder(on_phase=desk.tell)
-    return Measurement(
-        axis, options, desk, drive, choose_limits(drive, axis, options), recorder, settings
-    )
 
 
 def _with_steps(job: Measurement, result: dict[str, Any]) -> tuple[list[_Step], _Step | None]:

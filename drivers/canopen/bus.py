@@ -125,6 +125,16 @@ class CanopenBus:
             self._wire.send(self._rpdo.cob_id, self._out_format.pack(*frame))
         self._wire.post_download(at.index, at.sub, struct.pack("<" + _CODE[at.type], raw))
 
+    def descriptor(self) -> int | None:
+        """Of a serial adapter; other adapters are shared."""
+        return self._wire.descriptor
+
+    def frame(self, address: Address, raw: int) -> bytes:
+        """An SDO download as a serial adapter takes it."""
+        at = _canopen(address)
+        data = struct.pack("<" + _CODE[at.type], raw)
+        return self._wire.serial_line(at.index, at.sub, data)
+
     # -- cycle -----------------------------------------------------------------------------------
 
     def start(self, idle: tuple[int, ...]) -> None:

@@ -128,6 +128,12 @@ def _waitable(bus: can.BusABC) -> int | None:
     return int(bus.fileno())
 
 
+def _expedited(index: int, sub: int, data: bytes) -> bytes:
+    """An expedited download with its size (CiA 301, 7.2.4.3.3)."""
+    command = 0x23 | (4 - len(data)) << 2
+    return struct.pack("<BHB", command, index, sub) + data.ljust(4, b"\0")
+
+
 class CanWire:
     """The bus as one node's master sees it.
 
@@ -143,6 +149,7 @@ class CanWire:
     awaits_sync : another device of the bus produces SYNC, and so paces the cycle
     garbled : frames that could not be read
     error_frames : that the adapter reported
+    descriptor : of a serial adapter, or None
     """
 
     def __init__(
@@ -171,7 +178,7 @@ class CanWire:
         self._tpdo: bytes | None = None
         self._closed = False
         self._posted = 0
-        self._descriptor = _waitable(bus)
+        self.descriptor = _waitable(bus)
         self._sdo = _PumpedSdo(self, node, timeout)
 
     # -- frames ----------------------------------------------------------------------------------
@@ -192,8 +199,8 @@ class CanWire:
     def pump(self, timeout: float) -> bool:
         """Receive and sort one frame; False when none came within `timeout` s."""
         try:
-            if self._descriptor is not None:
-                ready, _, _ = select.select([self._descriptor], [], [], timeout)
+            if self.descriptor is not None:
+                ready, _, _ = select.select([self.descriptor], [], [], timeout)
                 message = self._bus.recv(0) if ready else None
             else:
                 message = self._bus.recv(timeout)
@@ -308,10 +315,13 @@ class CanWire:
 
     def post_download(self, index: int, sub: int, data: bytes) -> None:
         """Send an expedited download and wait for nothing."""
-        command = 0x23 | (4 - len(data)) << 2  # CiA 301: expedited, size indicated
-        frame = struct.pack("<BHB", command, index, sub) + data.ljust(4, b"\0")
-        self.send(0x600 + self.node, frame)
+        self.send(0x600 + self.node, _expedited(index, sub, data))
         self._posted += 1
+
+    def serial_line(self, index: int, sub: int, data: bytes) -> bytes:
+        """An expedited download for a serial adapter (slcan): a line begun ends, the channel is opened."""
+        frame = _expedited(index, sub, data)
+        return f"\rO\rt{0x600 + self.node:03X}8{frame.hex().upper()}\r".encode("ascii")
 
     def _settle_posts(self) -> None:
         """Let the answers to posted downloads come in, so that they answer nothing else."""

@@ -126,6 +126,20 @@ class ModbusBus:
             send(at.write_function, at.register_, words)
             self._words[at.register_] = words[0]
 
+    def descriptor(self) -> int | None:
+        """Of the serial port, or of a connection that the drive allows only one of."""
+        if self._profile.link.sharing == "shared" and not self._client.serial:
+            return None
+        return self._client.descriptor()
+
+    def frame(self, address: Address, raw: int) -> bytes:
+        """The request that `post` would send."""
+        found: list[bytes] = []
+        self._put(
+            _modbus(address), raw, lambda *request: found.append(self._client.frame(*request))
+        )
+        return found[0]
+
     def start(self, idle: tuple[int, ...]) -> None:
         """The cycle begins with the first exchange; until then `idle` is in force."""
         self._before = None

@@ -13,6 +13,11 @@ from pymodbus import FramerType
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
+from pymodbus.pdu.register_message import (
+    MaskWriteRegisterRequest,
+    WriteMultipleRegistersRequest,
+    WriteSingleRegisterRequest,
+)
 
 from drivers.modbus.wires import RtuLine, TcpWire, Wire
 from drivers.pace import Silence
@@ -203,6 +208,34 @@ class Client:
         """
         with contextlib.suppress(NoAnswer):
             self.write(function, address, words, POST_ANSWER)
+
+    @property
+    def serial(self) -> bool:
+        """Whether the drive is on a serial port of this machine."""
+        return isinstance(self._wire, RtuLine)
+
+    def descriptor(self) -> int | None:
+        """Of the port or the connection; None where it cannot be lent (TLS, closed)."""
+        stream = self._client.socket
+        if stream is None or (isinstance(self._wire, TcpWire) and self._wire.tls is not None):
+            return None
+        return int(stream.fileno())
+
+    def frame(self, function: int, address: int, words: list[int]) -> bytes:
+        """The frame that `write` would send."""
+        request: ModbusPDU
+        if function == 22:
+            request = MaskWriteRegisterRequest(address, words[0], words[1], dev_id=self._unit)
+        elif function == 6 and len(words) == 1:
+            request = WriteSingleRegisterRequest(
+                address=address, registers=words, dev_id=self._unit
+            )
+        else:
+            request = WriteMultipleRegistersRequest(
+                address=address, registers=words, dev_id=self._unit
+            )
+        built: bytes = self._client.framer.buildFrame(request)
+        return built
 
     def identification(self) -> dict[int, str]:
         """Basic device identification (FC 43/14), text by object id."""

@@ -74,6 +74,14 @@ class DirectBus:
         """Write; nothing can be lost here."""
         self.write(address, raw)
 
+    def descriptor(self) -> int | None:
+        """There is no port."""
+        return None
+
+    def frame(self, address: Address, raw: int) -> bytes:
+        """There is no port."""
+        raise NotImplementedError
+
     def start(self, idle: tuple[int, ...]) -> None:
         """Nothing to set up."""
         self._mode_is_torque = self._firmware.values["mode"] in (4, 10)

@@ -226,12 +226,21 @@ class Journal:
         found = [Intent(**dict(row)) for row in rows]
         return [i for i in found if i.state in ("intended", "verified")] if open_only else found
 
-    def last_open(self) -> str | None:
-        """The latest run with something to restore."""
+    def open_runs(self) -> list[str]:
+        """Runs with something to restore, the latest first."""
+        with self._errors():
+            rows = self._db.execute(
+                "SELECT DISTINCT runs.id, runs.created FROM runs JOIN intents ON intents.run = runs.id "
+                "WHERE intents.state IN ('intended', 'verified') "
+                "ORDER BY runs.created DESC, runs.id DESC"
+            ).fetchall()
+        return [str(row["id"]) for row in rows]
+
+    def last_written(self) -> str | None:
+        """The latest run that wrote anything to a drive."""
         with self._errors():
             row = self._db.execute(
                 "SELECT runs.id FROM runs JOIN intents ON intents.run = runs.id "
-                "WHERE intents.state IN ('intended', 'verified') "
                 "ORDER BY runs.created DESC, runs.id DESC LIMIT 1"
             ).fetchone()
         return None if row is None else str(row["id"])

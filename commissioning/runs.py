@@ -130,6 +130,11 @@ class RunFolder:
             samples = self.samples()
             if samples is not None:
                 _write_csv(target / "samples.csv", samples, result)
+                spans = (result["experiment"] or {}).get("spans")
+                if spans:
+                    _write_csv(
+                        target / "oscillations.csv", samples, result, (spans[0][0], spans[-1][1])
+                    )
             changes = self._dcf(journal, run)
             if changes:
                 (target / "changes.dcf").write_text(changes, "utf-8")
@@ -219,7 +224,10 @@ def _replace(path: Path, text: str) -> None:
     fresh.replace(path)
 
 
-def _write_csv(path: Path, samples: Samples, result: dict[str, Any]) -> None:
+def _write_csv(
+    path: Path, samples: Samples, result: dict[str, Any], span: tuple[float, float] | None = None
+) -> None:
+    """All samples, or those between two instants (s) of the run: what `analyze` reads best."""
     linear = result.get("units", {}).get("position") == "m"
     position, effort = ("m", "N") if linear else ("rad", "Nm")
     kind = "force" if linear else "torque"
@@ -230,4 +238,6 @@ def _write_csv(path: Path, samples: Samples, result: dict[str, Any]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(header)
-        writer.writerows(zip(*(samples[name].tolist() for name in _COLUMNS), strict=True))
+        since = samples["time"] - samples["sent"][0]
+        kept = slice(None) if span is None else (since >= span[0]) & (since <= span[1])
+        writer.writerows(zip(*(samples[name][kept].tolist() for name in _COLUMNS), strict=True))

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from math import pi
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from profiles.schema import _Strict
 from profiles.toml_files import load_model
@@ -36,12 +36,19 @@ class Mechanics(_Strict):
     feed: Positive | None = None
     held_by: Literal["friction", "brake", "counterbalance", "fixture"] = "friction"
 
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.motion == "linear") != (self.feed is not None):
+            raise ValueError("feed (m per revolution) belongs to motion 'linear', and only to that")
+        return self
+
     @property
     def travel_per_revolution(self) -> float:
         """Travel of the axis per motor revolution, rad or m."""
         if self.motion == "rotary":
             return 2 * pi / self.gear
-        return (self.feed or 2 * pi) / self.gear
+        assert self.feed is not None
+        return self.feed / self.gear
 
     @property
     def effort_per_torque(self) -> float:
@@ -90,8 +97,14 @@ class Axis(_Strict):
 
 
 def load_axis(path: Path) -> Axis:
-    """Read an axis file; its name is the file's unless it says another."""
+    """Read an axis file; its name is the file's unless it says another.
+
+    A profile that is a file is looked for beside it first.
+    """
     axis = load_model(path, Axis)
+    beside = path.parent / axis.profile if axis.profile else None
+    if beside is not None and beside.suffix == ".toml" and beside.exists():
+        axis = axis.model_copy(update={"profile": str(beside)})
     if "name" not in axis.model_fields_set:
         axis = axis.model_copy(update={"name": path.stem})
     return axis

@@ -18,11 +18,13 @@ import tomlkit
 
 from profiles.draft import Draft, profile_name
 from profiles.errors import ProfileError
+from profiles.schema import WIDTH_BITS, Unit
 
 __all__ = ["COLUMNS", "NAMES", "Row", "from_table", "read_csv"]
 
 COLUMNS = (
     "name", "register", "modicon", "type", "title", "unit", "scale", "minimum", "maximum", "access",
+    "stop", "reset", "fault",
     "word_order", "function", "trust", "mask", "on", "off",
 )  # fmt: skip
 NAMES = {  # what tworelay asks of a drive: unit, protection, and what it is
@@ -178,7 +180,15 @@ def _parameter(row: Row, notes: list[str]) -> dict[str, Any]:
         register = modicon - _MODICON
     if register is None:
         raise ProfileError(f"{row.where}: '{row.name}' has no register")
-    address: dict[str, Any] = {"register": register, "type": cells.get("type", "u16").lower()}
+    kind = cells.get("type", "u16").lower()
+    if kind not in WIDTH_BITS:
+        raise ProfileError(f"{row.where}: type '{kind[:40]}' is none of {', '.join(WIDTH_BITS)}")
+    if (given := cells.get("unit")) is not None and given not in list(Unit):
+        raise ProfileError(
+            f"{row.where}: unit '{given[:40]}' is none of {', '.join(Unit)}; what one raw step is of it "
+            "stands in scale (ms: unit s, scale 0.001; 0.1 %: unit rated, scale 0.001)"
+        )
+    address: dict[str, Any] = {"register": register, "type": kind}
     if "word_order" in cells:
         address["word_order"] = cells["word_order"].lower()
     if (function := row.integer("function")) is not None:
@@ -227,8 +237,9 @@ def _power(found: dict[str, Row], *, is_cia402: bool) -> dict[str, Any]:
     switch, status = found["servo_on"], found["drive_status"]
     on, off = switch.integer("on"), switch.integer("off")
     off_step = [{"write": "servo_on", "raw": 0 if off is None else off}]
-    enabled = status.integer("on")
-    mask = status.integer("mask")
+    quick, reset = switch.integer("stop"), switch.integer("reset")
+    stop_step = off_step if quick is None else [{"write": "servo_on", "raw": quick}]
+    enabled, mask, fault = (status.integer(column) for column in ("on", "mask", "fault"))
     if enabled is None:
         raise ProfileError(
             f"{status.where}: drive_status needs 'on' (and 'mask'): what does it read when the drive is "
@@ -242,7 +253,11 @@ def _power(found: dict[str, Row], *, is_cia402: bool) -> dict[str, Any]:
     }  # fmt: skip
     if "alarm" in found:
         power["fault"] = {"parameter": "alarm", "differs": 0}
-    return {"modes": {"torque": [mode]}, "power": power, "stop": off_step, "disable": off_step}
+    elif fault is not None:
+        power["fault"] = {"parameter": "drive_status", "mask": fault, "differs": 0}
+    if reset is not None:
+        power["reset"] = [{"write": "servo_on", "raw": reset}, *off_step]
+    return {"modes": {"torque": [mode]}, "power": power, "stop": stop_step, "disable": off_step}
 
 
 def _watchdog(found: dict[str, Row]) -> dict[str, Any]:
@@ -279,6 +294,23 @@ def _notes(found: dict[str, Row]) -> list[str]:
         "store_command": "no store_command: what is written is lost at power-off",
     }
     notes = [text for name, text in texts.items() if name not in found]
+    if "servo_on" in found and "drive_status" in found:
+        switch, status = found["servo_on"], found["drive_status"]
+        if switch.integer("stop") is None:
+            notes.append(
+                "servo_on has no 'stop': the axis is stopped by switching it off, and coasts"
+            )
+        if "alarm" not in found and status.integer("fault") is None:
+            notes.append("no alarm, and no 'fault' bits in drive_status: a fault is not recognised")
+        if switch.integer("reset") is None:
+            notes.append(
+                "servo_on has no 'reset': a fault is reset at the drive, also the one that the proof of its "
+                "watchdog makes (--without-watchdog leaves that proof out)"
+            )
+    if not {"coulomb_positive", "friction"} & set(found):
+        notes.append(
+            "no coulomb_positive and coulomb_negative, and no friction: nothing can be compensated"
+        )
     notes.append(
         "what the torque mode needs (mode, source of the command) stands in 'before' of [[modes.torque]]"
     )

@@ -124,6 +124,7 @@ def _asked(name: str) -> Draft:
 
     from profiles.errors import UsageError
     from profiles.library import draft_from_table
+    from profiles.schema import WIDTH_BITS, Unit
     from profiles.table import NAMES, Row
 
     if not sys.stdin.isatty():
@@ -142,12 +143,17 @@ def _asked(name: str) -> Draft:
         if not register:
             continue
         cells = {"name": known, "register": register}
-        cells["type"] = click.prompt("  type", default=_type(known))
+        cells["type"] = click.prompt(
+            "  type", default=_type(known), type=click.Choice(list(WIDTH_BITS))
+        )
         if unit not in ("1", "increment"):
-            cells["unit"] = click.prompt("  unit", default=unit)
-            cells["scale"] = click.prompt(f"  one raw step in {cells['unit']}", default="1")
+            cells["unit"] = click.prompt("  unit", default=unit, type=click.Choice(list(Unit)))
+            step = click.prompt(f"  one raw step in {cells['unit']}, as 0.001", type=float)
+            cells["scale"] = str(step)
         for column, question in _QUESTIONS.get(known, ()):
-            cells[column] = click.prompt(f"  {question}")
+            answer = click.prompt(f"  {question}", default="", show_default=False)
+            if answer:
+                cells[column] = answer
         rows.append(Row(known, cells))
     return draft_from_table(rows, title)
 
@@ -160,9 +166,15 @@ def _type(name: str) -> str:
 
 _CIA402 = ("controlword", "statusword", "mode_of_operation", "mode_display")
 _QUESTIONS = {
-    "servo_on": (("on", "written to enable"), ("off", "written to disable")),
+    "servo_on": (
+        ("on", "written to enable"),
+        ("off", "written to disable"),
+        ("stop", "written for a quick stop (Enter: there is none)"),
+        ("reset", "written to acknowledge a fault (Enter: there is none)"),
+    ),
     "drive_status": (
         ("mask", "bits that show that it is enabled (0xFFFF: all)"),
         ("on", "what these bits then read"),
+        ("fault", "bits that show a fault (Enter: there are none)"),
     ),
 }

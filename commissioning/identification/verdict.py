@@ -308,8 +308,14 @@ def dwell_share(record: Record, inertia: float, coulomb: float) -> float:
     return float(rested / (t[-1] - t[0]))
 
 
+_AHEAD = 2  # cycles
+
+
 def torque_gain(measured: Array, command: Array) -> float | None:
     """Measured torque over commanded, at the lag that fits best; None where nothing is measured.
+
+    A drive that is read some time after it was commanded shows the torque before the command is said to be
+    in force: the lag may be a cycle or two the other way.
 
     Parameters
     ----------
@@ -319,8 +325,8 @@ def torque_gain(measured: Array, command: Array) -> float | None:
         return None
     m, c = measured - measured.mean(), command - command.mean()
     gains, misses = [], []
-    for lag in range(min(40, len(c) // 8)):
-        a, b = m[lag:], c[: len(c) - lag]
+    for lag in range(-_AHEAD, min(40, len(c) // 8)):
+        a, b = (m[lag:], c[: len(c) - lag]) if lag >= 0 else (m[:lag], c[-lag:])
         gain = float(a @ b) / max(float(b @ b), 1e-300)
         gains.append(gain)
         misses.append(float(np.mean((a - gain * b) ** 2)))

@@ -22,7 +22,7 @@ from profiles.errors import (
     UsageError,
     WriteFailed,
 )
-from profiles.schema import Profile, Trust, Unit
+from profiles.schema import Profile, Protection, Trust, Unit
 
 __all__ = ["STORED", "apply", "axis_of_run", "restore", "stop", "store", "unverified"]
 
@@ -153,7 +153,8 @@ def unverified(profile: Profile, names: list[str], *, constant_known: bool) -> N
     if doubtful:
         raise Refused(
             f"profile '{profile.name}' marks {', '.join(doubtful)} unverified: nothing was written. Check "
-            "the drive's manual, and mark them verified in a copy of the profile (tworelay profile show)"
+            "the drive's manual, mark them verified in a copy of the profile (tworelay profile show), and "
+            "identify with that"
         )
 
 
@@ -222,10 +223,15 @@ def store(drive: Drive, desk: Desk, run_id: str, wanted: dict[str, int]) -> None
 def restore(run: str | None, link: str | None, desk: Desk, *, force: bool) -> Restored:
     """Put back every parameter that `run` (default: the latest with any) changed, and store."""
     if run is None:
-        found = desk.journal.last_open()
-        if found is None:
+        waiting = desk.journal.open_runs()
+        if not waiting:
             return Restored()
-        run_id = found
+        if waiting[0] != desk.journal.last_written():
+            raise Refused(
+                "the latest run has nothing to restore; name the one that is meant: "
+                + ", ".join(f"{name} on {desk.journal.run(name).link}" for name in waiting[:5])
+            )
+        run_id = waiting[0]
         folder = RunFolder.of(desk.journal, run_id)
     else:
         run_id, folder = _resolve_any(desk, run)
@@ -234,6 +240,7 @@ def restore(run: str | None, link: str | None, desk: Desk, *, force: bool) -> Re
     if not intents:
         return Restored()
     axis = axis_of_run(record, folder, link)
+    desk.tell(f"run {run_id}: axis '{record.axis}' on {axis.link}")
     with connect(axis, None, desk) as drive, desk.interruption.deferred():
         same_drive(drive.identity(), record.serial, run_id, drive.link, desk)
         if drive.is_energised():
@@ -272,8 +279,20 @@ def stop(axis: Axis, desk: Desk) -> StopReport:
                 f"{drive.status_text()}; use its own controller or the emergency stop"
             )
         report = drive.stop(desk.interruption.hurried)
+        _tell_what_is_left(drive, desk)
     if report.deenergised is None:
         raise LinkError(str(report))
     if not report.deenergised:
         raise DriveFault(str(report))
     return report
+
+
+def _tell_what_is_left(drive: Drive, desk: Desk) -> None:
+    """Registers that the machine uses, too, and that the stop path had to write."""
+    parameters = drive.profile.parameters
+    for step in (*drive.profile.stop, *drive.profile.disable):
+        if step.write and parameters[step.write].protection is Protection.EXPERIMENT:
+            desk.tell(
+                f"{step.write} ({parameters[step.write].address}) is left at {step.raw}: set it as the "
+                "machine needs it"
+            )

@@ -11,7 +11,7 @@ from commissioning.runner import Recorder
 from commissioning.runs import RunFolder, Samples
 from commissioning.session.desk import Desk, Options, connect, none_unfinished
 from commissioning.session.measurement import Measurement
-from commissioning.session.preflight import Limits, choose_limits, look, writes
+from commissioning.session.preflight import Limits, check_watchdog, choose_limits, look, writes
 from commissioning.session.result import blank
 from commissioning.settings import Settings
 from drivers.drive import Drive
@@ -60,6 +60,7 @@ def _run(
     desk.tell(f"drive: {identity}; profile {drive.profile.name} {drive.profile.version}")
     none_unfinished(desk, identity.serial)
     look(drive, axis)
+    check_watchdog(drive, without=options.without_watchdog)
     limits = choose_limits(drive, axis, options)
     if options.dry_run:
         return _dry_run(axis, drive, limits, desk, result)

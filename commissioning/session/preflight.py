@@ -14,7 +14,15 @@ from profiles.axis import Axis
 from profiles.errors import DriveFault, PreflightRefused, UsageError
 from profiles.schema import Mode
 
-__all__ = ["Limits", "choose_limits", "look", "prove_watchdog", "set_limits", "writes"]
+__all__ = [
+    "Limits",
+    "check_watchdog",
+    "choose_limits",
+    "look",
+    "prove_watchdog",
+    "set_limits",
+    "writes",
+]
 
 _AT_REST_COUNTS = 3
 _LOOK, _LOOKS = 0.05, 20  # s; it may still settle from what was before
@@ -173,6 +181,15 @@ def set_limits(drive: Drive, settings: Settings, limits: Limits) -> None:
         )
 
 
+def check_watchdog(drive: Drive, *, without: bool) -> None:
+    """Refuse a drive that would not notice a dead link, unless the user has said `without`."""
+    if drive.profile.watchdog.kind == "none" and not without:
+        raise PreflightRefused(
+            f"profile '{drive.profile.name}' has no drive-side watchdog, so a dead cable would leave the "
+            "torque on; --without-watchdog takes that risk, with the emergency stop in your hand"
+        )
+
+
 def prove_watchdog(
     drive: Drive,
     rest: float,
@@ -187,15 +204,13 @@ def prove_watchdog(
     set.
     """
     watchdog = drive.profile.watchdog
-    if watchdog.kind == "none":
-        if without:
-            tell("this drive has no watchdog: if this computer fails, nothing stops the axis")
-            return
-        raise PreflightRefused(
-            f"profile '{drive.profile.name}' has no drive-side watchdog, so a dead computer or "
-            "cable would leave the torque on; --without-watchdog takes that risk, with the "
-            "emergency stop in your hand"
+    check_watchdog(drive, without=without)
+    if without:
+        tell(
+            "no watchdog of the drive is proved: if the cable fails, nothing stops the axis"
+            " (the guardian process stops it should this program fail)"
         )
+        return
     tell(f"proof of the watchdog: silence for {3 * watchdog.timeout * 1000:.0f} ms")
     with interruption.deferred():
         try:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from commissioning.compensation import Change, Known, propose
 from drivers.drive import Drive
 from profiles.errors import AccessDenied, WriteFailed
+from profiles.schema import Trust
 
 __all__ = ["own_estimate", "proposal"]
 
@@ -17,6 +18,12 @@ def proposal(drive: Drive, known: Known, fraction: float, reasons: list[str]) ->
     if not law.terms:
         return []
     old = {name: drive.read_raw(name) for name in law.terms.values()}
+    doubtful = [n for n in old if drive.profile.parameters[n].trust is Trust.UNVERIFIED]
+    if doubtful:
+        reasons.append(
+            f"apply will refuse {', '.join(doubtful)}: unverified in profile '{drive.profile.name}'; check "
+            "them in the drive's manual, mark them in a copy of the profile, and identify with that"
+        )
     for attempt in (known, replace(known, viscous=None)):
         try:
             return propose(drive.profile, drive.scaling, attempt, old, fraction)

@@ -110,7 +110,7 @@ def test_the_last_run_and_the_last_with_anything_to_restore(journal: Journal, dr
     Settings(journal, first, drive).write("compensation", "coulomb_positive", 50)
     second = begin(journal)
     assert journal.run("last").id == second
-    assert journal.last_open() == first
+    assert journal.open_runs() == [first]
     with pytest.raises(UnknownName, match=first):
         journal.run("nosuch")
 

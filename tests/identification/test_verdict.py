@@ -79,6 +79,8 @@ def test_the_torque_that_is_measured_must_be_the_torque_that_is_commanded() -> N
     command = np.sign(np.sin(np.arange(2000) / 20)) * 0.3
     assert torque_gain(np.roll(command, 3), command) == pytest.approx(1.0, abs=0.02)
     assert torque_gain(0.6 * np.roll(command, 3), command) == pytest.approx(0.6, abs=0.02)
+    # the drive is read after it has taken the next command already
+    assert torque_gain(np.roll(command, -1), command) == pytest.approx(1.0, abs=0.02)
     assert torque_gain(np.full(2000, np.nan), command) is None
     assert of_torque(0.6, 0.0, 1.0, 1e-4)[0].weight is Weight.CONTRADICTION
     assert of_torque(0.88, 0.0, 1.0, 1e-4)[0].weight is Weight.DOUBT

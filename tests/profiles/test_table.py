@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from profiles.errors import ProfileError
-from profiles.library import check, load_profile
-from profiles.schema import ModbusAddress, Unit
+from profiles.library import check, draft_from_csv, load_profile
+from profiles.schema import ModbusAddress, Profile, Unit
 from profiles.table import from_table, read_csv
+from profiles.toml_files import parse_model
 from tests.conftest import Tworelay
 
 # P06.05 = 0605h and so on: the DSY-RS' own addresses, in the notations that people use
@@ -106,3 +107,44 @@ def test_questions_need_a_terminal(tworelay: Tworelay, tmp_path: Path) -> None:
     done = tworelay("profile", "new", "--output", str(tmp_path / "x.toml"))
     assert done.returncode == 2
     assert "give --eds F, --csv F or --drive LINK; questions need a terminal" in done.stderr
+
+
+STATUS = "name;register;type;unit;scale;function;mask;on;off;stop;reset;fault\n"
+ROWS = (
+    "torque_target;1002h;i16;rated;0.001;6\nposition_actual;1004h;i32\n"
+    "drive_status;1000h;u16;;;;0x01;1;;;;0x08\nservo_on;1001h;u16;;;6;;1;0;2;4\n"
+)
+
+
+def test_quick_stop_fault_and_reset_are_asked_for_and_their_lack_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    path.write_text(STATUS + ROWS)
+    profile = parse_model(draft_from_csv(path).text, Profile, "mine")
+    assert [(s.write, s.raw) for s in profile.stop] == [("servo_on", 2)]
+    assert [(s.write, s.raw) for s in profile.disable] == [("servo_on", 0)]
+    assert profile.power is not None
+    assert profile.power.fault is not None
+    assert profile.power.fault.holds(0x09)
+    assert not profile.power.fault.holds(0x01)
+    assert [(s.write, s.raw) for s in profile.power.reset] == [("servo_on", 4), ("servo_on", 0)]
+    path.write_text(STATUS + ROWS.replace(";2;4", "").replace(";;;;0x08", ""))
+    notes = " ".join(draft_from_csv(path).notes)
+    for words in ("and coasts", "a fault is not recognised", "leaves that proof out"):
+        assert words in notes
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (("i16;rated", "int16;rated"), "row 2: type 'int16' is none of i8, u8"),
+        (("rated;0.001", "0.1 %;1"), "row 2: unit '0.1 %' is none of"),
+    ],
+)
+def test_a_wrong_type_or_unit_is_told_with_its_row(
+    tmp_path: Path, wrong: tuple[str, str], words: str
+) -> None:
+    path = tmp_path / "mine.csv"
+    path.write_text(STATUS + ROWS.replace(*wrong))
+    with pytest.raises(ProfileError) as caught:
+        draft_from_csv(path)
+    assert words in str(caught.value)

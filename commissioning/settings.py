@@ -7,8 +7,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from commissioning.journal import Intent, Journal, Kind
-from drivers.drive import Drive
+from drivers.drive import SET, Drive
 from profiles.errors import JournalError, LinkError, TwoRelayError, WriteFailed
+from profiles.schema import Protection
 
 __all__ = ["Restored", "Settings", "put_back", "settle"]
 
@@ -51,7 +52,8 @@ class Settings:
         old = self._drive.read_raw(parameter)
         if old == new:
             return False
-        if self._drive.profile.parameters[parameter].protection != kind:
+        protection = self._drive.profile.parameters[parameter].protection
+        if protection != kind and parameter not in SET:
             raise WriteFailed(
                 f"'{parameter}' is no {kind} parameter in profile '{self._drive.profile.name}': it was "
                 "left as it is"
@@ -61,6 +63,14 @@ class Settings:
         self._drive.write_raw(parameter, new)
         self._journal.settle(intent, "verified")
         return True
+
+    def remember(self, parameter: str) -> None:
+        """Journal a set-point as it is, to be put back after motion."""
+        if self._drive.profile.parameters[parameter].protection is Protection.COMMAND:
+            there = self._drive.read_raw(parameter)
+            self._journal.settle(
+                self._journal.intend(self.run, "experiment", parameter, there, there), "verified"
+            )
 
     def _check_way_back(self, parameter: str, old: int, new: int) -> None:
         """Refuse a write that could not be undone, or that is larger than the profile allows."""
@@ -138,7 +148,7 @@ def put_back(drive: Drive, intents: list[Intent], *, force: bool = False) -> Res
             there = drive.read_raw(name)
             if there == old:
                 outcome.already.append(name)
-            elif there not in ours[name] and not force:
+            elif there not in ours[name] and not force and name not in SET:
                 outcome.skipped[name] = (
                     f"it reads {there}, neither the old {old} nor what was written: somebody "
                     "changed it since; --force overwrites it"

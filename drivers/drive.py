@@ -10,7 +10,11 @@ from drivers.sample import Sample
 from drivers.scaling import Scaling
 from profiles.schema import Address, Identity, Mode, Profile
 
-__all__ = ["Bus", "Drive", "Exchange", "StopFrames", "StopReport"]
+__all__ = ["SET", "Bus", "Drive", "Exchange", "StopFrames", "StopReport"]
+
+SET = frozenset(
+    {"mode_of_operation", "torque_target", "position_target"}
+)  # commands that a job leaves as found
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +92,9 @@ class Drive(Protocol):
 
     def check_requirements(self) -> None:
         """Look whether the drive is set up as its profile requires; raises PreflightRefused."""
+
+    def mode_codes(self) -> list[int]:
+        """Values of `mode_of_operation` that a job may set, in the order in which it may leave them."""
 
     def exclusive_access(self) -> dict[str, int]:
         """Raw value of the parameter that locks other masters out, where the drive has one."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import isnan, nan
 
-from drivers.drive import Bus, Exchange, StopFrames, StopReport
+from drivers.drive import SET, Bus, Exchange, StopFrames, StopReport
 from drivers.power import perform, power_of
 from drivers.sample import Sample
 from drivers.scaling import Scaling
@@ -13,7 +13,6 @@ from profiles.axis import Axis
 from profiles.errors import (
     AccessDenied,
     PreflightRefused,
-    TwoRelayError,
     UnknownName,
     WriteFailed,
 )
@@ -66,7 +65,6 @@ class ProfiledDrive:
         self._power = power_of(bus, profile, self.status_text)
         self._rest_raw = 0
         self._energised = False
-        self._mode_before: int | None = None
         self.scaling = Scaling(1.0, 1.0, axis.mechanics) if to_stop else self._read_bases(axis)
         if not profile.moves:
             return
@@ -166,12 +164,15 @@ class ProfiledDrive:
     def write_raw(self, name: str, raw: int) -> None:
         """Write a raw value and read it back; raises WriteFailed, LinkError."""
         parameter = self._parameter(name)
-        if parameter.protection not in _WRITTEN:
+        if parameter.protection is Protection.COMMAND and name in SET:
+            if self.is_energised():
+                raise WriteFailed(f"'{name}' is not put back while the drive is enabled")
+        elif parameter.protection not in _WRITTEN:
             raise WriteFailed(
                 f"'{name}' has protection '{parameter.protection}' in profile "
                 f"'{self.profile.name}': it is not written"
             )
-        for_good = parameter.protection is not Protection.EXPERIMENT
+        for_good = parameter.protection not in (Protection.EXPERIMENT, Protection.COMMAND)
         if for_good and parameter.trust is Trust.UNVERIFIED:
             raise WriteFailed(
                 f"'{name}' ({parameter.address}) is unverified in profile '{self.profile.name}': "
@@ -215,6 +216,13 @@ class ProfiledDrive:
         if watchdog.reaction is not None and watchdog.reaction_raw is not None:
             settings[watchdog.reaction] = watchdog.reaction_raw
         return settings
+
+    def mode_codes(self) -> list[int]:
+        """Values of `mode_of_operation` that a job may set, in the order in which it may leave them."""
+        codes = [self._supported(Mode.TORQUE).code]
+        if self.profile.modes.get(Mode.POSITION):
+            codes.insert(0, self.profile.modes[Mode.POSITION][0].code)
+        return [code for code in codes if code is not None]
 
     def exclusive_access(self) -> dict[str, int]:
         """Raw value of the parameter that locks other masters out, where the drive has one."""
@@ -309,8 +317,6 @@ class ProfiledDrive:
         code = self._supported(mode)
         self._select(mode, code)
         if code.code is not None:
-            if self._mode_before is None:
-                self._mode_before = self.read_raw("mode_display")
             self._set_mode(code.code)
         target = self._parameter(code.set_point)
         self._rest_raw = (
@@ -328,11 +334,10 @@ class ProfiledDrive:
         """Take the energy away from an axis at rest; raises LinkError, DriveFault."""
         self._power.disable(list(self._frame(self._rest_raw)))
         self._energised = False
-        if self.profile.power is not None:
-            self._rest()
+        self._rest()
 
     def _rest(self) -> None:
-        """Zero as the torque command of a drive without energy."""
+        """Zero as the torque command of a drive without energy: no stale one waits for the next master."""
         if self._mode is Mode.TORQUE:
             self._bus.write(self._set_point.address, 0)
 
@@ -494,8 +499,8 @@ class ProfiledDrive:
                 break
             attempt(lambda: self._bus.wait(_POLL))
         self._energised = state is False
-        if state and self.profile.power is not None:
-            attempt(self._rest)  # no stale command waits for the next one who enables it
+        if state:
+            attempt(self._rest)
         return StopReport(state, tuple(dict.fromkeys(failures)))
 
     def _await_standstill(self, hurry: Callable[[], bool]) -> None:
@@ -510,12 +515,6 @@ class ProfiledDrive:
         try:
             if self._energised:
                 self.stop()
-            if self._mode_before is not None:
-                self._bus.write(self._parameter("torque_target").address, 0)
-                self._bus.write(self._parameter("mode_of_operation").address, self._mode_before)
-        except TwoRelayError:
-            # a dead link was reported by whoever used it; the values are volatile
-            self._mode_before = None
         finally:
             self._bus.close()
 

@@ -9,7 +9,7 @@ from commissioning.interruption import Interruption
 from commissioning.runner import verified
 from commissioning.session.desk import Options
 from commissioning.settings import Settings
-from drivers.drive import Drive
+from drivers.drive import SET, Drive
 from profiles.axis import Axis
 from profiles.errors import DriveFault, PreflightRefused, UsageError
 from profiles.schema import Mode
@@ -173,6 +173,10 @@ def set_limits(drive: Drive, settings: Settings, limits: Limits) -> None:
     """Write the drive-side limits and arm the watchdog; refused when the drive does not take them."""
     for name, raw in writes(drive, limits).items():
         settings.write("experiment", name, raw)
+    for name in SET & set(drive.profile.cycle.out):
+        settings.remember(name)
+    for code in drive.mode_codes():
+        settings.write("experiment", "mode_of_operation", code)
     if drive.is_energised():
         verified(drive.stop(), None)
         raise PreflightRefused(

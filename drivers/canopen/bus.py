@@ -64,7 +64,10 @@ class CanopenBus:
         self._wire = wire
         self._profile = profile
         self._pace = pace
-        self._deadline = max(pace.cycle, profile.watchdog.deadline)
+        # simulated time stands still while an answer is awaited: any service's patience will do
+        self._deadline = (
+            wire.patience if pace.stepping else max(pace.cycle, profile.watchdog.deadline)
+        )
         cycle = profile.cycle
         self._out = [_canopen(profile.parameters[name].address) for name in cycle.out]
         self._in = [_canopen(profile.parameters[name].address) for name in cycle.in_]

@@ -139,6 +139,7 @@ class CanWire:
 
     Attributes
     ----------
+    patience : s that a service waits for its answer
     emergency : last EMCY (code, register) of the node, or None
     heartbeat_state : last NMT state heard, or None
     heard_at : when that was, s of the performance counter
@@ -162,6 +163,7 @@ class CanWire:
         awaits_sync: bool = False,
     ) -> None:
         self.node = node
+        self.patience = timeout
         self.awaits_sync = awaits_sync
         self.emergency: tuple[int, int] | None = None
         self.heartbeat_state: int | None = None

@@ -51,7 +51,8 @@ class ModbusBus:
         self._client = client
         self._pace = pace
         self._profile = profile
-        self._deadline = max(pace.cycle, profile.watchdog.deadline)
+        # simulated time stands still while an answer is awaited: any service's patience will do
+        self._deadline = None if pace.stepping else max(pace.cycle, profile.watchdog.deadline)
         self._idle: tuple[int, ...] = (0,) * len(profile.cycle.out)
         self._mailbox = MailboxAccess(client, profile.mailbox) if profile.mailbox else None
         if profile.moves:

@@ -188,7 +188,12 @@ class Client:
             self._ask(self._client.write_registers, timeout, address=address, values=words)
 
     def read_write(
-        self, read_address: int, count: int, write_address: int, words: list[int], timeout: float
+        self,
+        read_address: int,
+        count: int,
+        write_address: int,
+        words: list[int],
+        timeout: float | None,
     ) -> list[int]:
         """Write, then read, in one transaction (FC 23)."""
         answer = self._ask(

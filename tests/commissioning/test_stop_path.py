@@ -173,7 +173,7 @@ def test_on_canopen_no_frame_of_a_stop_enables_the_drive() -> None:
     class Wire:
         """Takes frames and answers nothing."""
 
-        node = 5
+        node, patience = 5, 0.1
 
         def __init__(self) -> None:
             self.frames: list[tuple[int, bytes]] = []

@@ -1,11 +1,11 @@
-# make demo | test | check | bench | fuzz | faults – each sets itself up on a bare machine with Python 3.11
+# make demo | test | check | bench | fuzz | faults | limits – each sets itself up on a bare machine with Python 3.11
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 CASES ?= 12000
 
-.PHONY: demo test check bench fuzz faults format lint types imports lock clean
+.PHONY: demo test check bench fuzz faults limits format lint types imports lock clean
 
 demo: $(STAMP)
 	$(BIN)/tworelay demo
@@ -30,6 +30,10 @@ fuzz: $(STAMP)
 # a job in which every transaction breaks once, in every way; ends with "faults: N cases, M held"
 faults: $(STAMP)
 	$(BIN)/python -m tests.faults.every
+
+# random axes and settings in simulated time; ends with "limits: N axes, M held"
+limits: $(STAMP)
+	$(BIN)/python -m tests.faults.limits
 
 format: $(STAMP)
 	$(BIN)/ruff format .

@@ -64,6 +64,13 @@ class Settings:
         self._journal.settle(intent, "verified")
         return True
 
+    def oldest(self, parameter: str) -> int:
+        """What the drive had before this run, raw."""
+        intents = self._journal.intents(self.run, open_only=True)
+        return next(
+            (i.old for i in intents if i.parameter == parameter), self._drive.read_raw(parameter)
+        )
+
     def remember(self, parameter: str) -> None:
         """Journal a set-point as it is, to be put back after motion."""
         if self._drive.profile.parameters[parameter].protection is Protection.COMMAND:

@@ -27,8 +27,10 @@ from commissioning.session.methods import PACE_IS_LONG, Measured, measure
 from commissioning.session.points import points
 from commissioning.session.preflight import (
     Limits,
+    first_speed,
     prove_watchdog,
     set_limits,
+    widen_speed,
 )
 from commissioning.settings import Settings
 from drivers.drive import Drive
@@ -181,7 +183,11 @@ class Measurement:
             self.drive, rest, self.desk.interruption, self.recorder.phase,
             without=self.options.without_watchdog,
         )  # fmt: skip
-        known = self._run(first_look(self.context), rest)
+        first = min(self.context.speed, first_speed(self.drive, self.limits))
+        cautious = replace(self.context, speed=first)
+        known = self._run(first_look(cautious), rest)
+        with self.desk.interruption.deferred():
+            widen_speed(self.drive, self.settings, self.limits)
         if abs(known.offset) > known.breakaway and self.axis.mechanics.held_by == "friction":
             e = self.axis.effort_unit
             raise PreflightRefused(

@@ -29,6 +29,8 @@ _LOOK, _LOOKS = 0.05, 20  # s; it may still settle from what was before
 _CYCLES_A_WATCHDOG = 3
 _FEWEST_COUNTS = 500  # of travel
 _PROOF_CYCLES = 5
+_DRIVE_SPEED = 1.2  # of our limit: what the drive is told
+_LONGEST_DEAD_TIME, _CYCLES_TO_STOP = 0.03, 6  # s, cycles
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +160,10 @@ def writes(drive: Drive, limits: Limits) -> dict[str, int]:
     named = drive.profile.limits
     # first what keeps the drive from moving and from storing; it is put back last
     found = drive.preparations(Mode.TORQUE)
-    for kind, value in (("torque", limits.torque), ("speed", 1.2 * limits.speed)):
+    for kind, value in (
+        ("torque", limits.torque),
+        ("speed", _DRIVE_SPEED * min(limits.speed, first_speed(drive, limits))),
+    ):
         name = named.get(kind)  # type: ignore[call-overload]
         if name is not None:
             parameter = drive.profile.parameters[name]
@@ -167,6 +172,21 @@ def writes(drive: Drive, limits: Limits) -> dict[str, int]:
             found[name] = max(1, min(raw, there)) if there > 0 else raw
     found |= drive.watchdog_settings()
     return found
+
+
+def first_speed(drive: Drive, limits: Limits) -> float:
+    """Speed for the first motions, rad/s or m/s: half the travel, for as long as any stop may take."""
+    return 0.5 * limits.travel / (_LONGEST_DEAD_TIME + _CYCLES_TO_STOP * drive.cycle)
+
+
+def widen_speed(drive: Drive, settings: Settings, limits: Limits) -> None:
+    """From the first motions on the drive may let the axis go as fast as the limit says."""
+    name = drive.profile.limits.get("speed")
+    if name is not None:
+        parameter = drive.profile.parameters[name]
+        most = settings.oldest(name)
+        raw = drive.scaling.to_raw(parameter, _DRIVE_SPEED * limits.speed)
+        settings.write("experiment", name, max(1, min(raw, most)) if most > 0 else raw)
 
 
 def set_limits(drive: Drive, settings: Settings, limits: Limits) -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 from typing import Any
 
 import click
 
 from commissioning.cli.options import verbose
-from commissioning.cli.terminal import Screen, at_desk, check_json, write_json
+from commissioning.cli.terminal import Screen, at_desk, check_json, failure_in_json, write_json
 
 __all__ = ["command", "write"]
 
@@ -46,18 +45,7 @@ def write(
 ) -> dict[str, Any]:
     """Apply with the proposal shown; on failure write the JSON too, then raise."""
     from commissioning.cli import show
-    from commissioning.runs import resolve
     from commissioning.session.apply import apply
-    from profiles.errors import TwoRelayError, UsageError
 
-    with at_desk(screen) as desk:
-        try:
-            return apply(run, link, desk, lambda items: show.proposal(items, screen), gains)
-        except TwoRelayError as error:
-            if error.exit_code >= 3:
-                with contextlib.suppress(UsageError):  # the first error is the one to be told
-                    result = resolve(desk.journal, run)[1].result()
-                    result["status"] = error.status
-                    result["quality"]["reasons"] = [str(error)]
-                    write_json(result, json_target)
-            raise
+    with at_desk(screen) as desk, failure_in_json(desk, run, json_target):
+        return apply(run, link, desk, lambda items: show.proposal(items, screen), gains)

@@ -19,7 +19,7 @@ from commissioning.session.desk import Desk, Options
 from drivers.home import home
 from drivers.link import axis_of
 from profiles.axis import Axis, load_axis
-from profiles.errors import Refused, UsageError
+from profiles.errors import Refused, TwoRelayError, UsageError
 
 # spelt out here, so that --help imports no numbers; a test holds it to session.methods
 METHODS = (
@@ -265,6 +265,23 @@ def travel_from(text: str | None) -> float | None:
             f"--travel {text}: must be a positive number of rad or m, as in --travel ±0.5"
         )
     return travel
+
+
+@contextlib.contextmanager
+def failure_in_json(desk: Desk, run: str, target: str | None) -> Generator[None]:
+    """A job on `run` that ends early writes its JSON, too, with the status and the reason."""
+    from commissioning.runs import resolve
+
+    try:
+        yield
+    except TwoRelayError as error:
+        if error.exit_code >= 3:
+            with contextlib.suppress(UsageError):  # the first error is the one to be told
+                result = resolve(desk.journal, run)[1].result()
+                result["status"] = error.status
+                result["quality"]["reasons"] = [str(error)]
+                write_json(result, target)
+        raise
 
 
 def check_json(target: str | None) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from typing import Any
 
 import click
@@ -12,6 +11,7 @@ from commissioning.cli.terminal import (
     Screen,
     at_desk,
     check_json,
+    failure_in_json,
     is_target,
     job_options,
     write_json,
@@ -47,9 +47,7 @@ def command(
     """
     from commissioning.cli import show
     from commissioning.cli.identify import measure
-    from commissioning.runs import resolve
     from commissioning.session.tune import DriveLoop, tune_run
-    from profiles.errors import TwoRelayError, UsageError
 
     json_target = arguments["json_target"]
     check_json(json_target)
@@ -65,17 +63,12 @@ def command(
     else:
         _only_for_targets(context)
     drive = DriveLoop(drive_dead_time, drive_period)
-    with at_desk(screen) as desk, screen.working("every rule on the identified axis"):
-        try:
-            result, notes = tune_run(run, drive, desk)
-        except TwoRelayError as error:
-            if error.exit_code >= 3:
-                with contextlib.suppress(UsageError):  # the first error is the one to be told
-                    found = resolve(desk.journal, run)[1].result()
-                    found["status"] = error.status
-                    found["quality"]["reasons"] = [str(error)]
-                    write_json(found, json_target)
-            raise
+    with (
+        at_desk(screen) as desk,
+        failure_in_json(desk, run, json_target),
+        screen.working("every rule on the identified axis"),
+    ):
+        result, notes = tune_run(run, drive, desk)
     write_json(result, json_target)
     show.tuning(result, screen)
     for note in notes:

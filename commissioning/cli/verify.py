@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from typing import Any
 
 import click
@@ -13,6 +12,7 @@ from commissioning.cli.terminal import (
     Screen,
     at_desk,
     check_json,
+    failure_in_json,
     travel_from,
     write_json,
 )
@@ -52,21 +52,13 @@ def prove(
 ) -> dict[str, Any]:
     """Verify with the outcome shown; on failure write the JSON too, then raise."""
     from commissioning.cli import show
-    from commissioning.runs import resolve
     from commissioning.session.verify import verify
-    from profiles.errors import TwoRelayError, UsageError
 
-    with at_desk(screen) as desk:
-        try:
-            with screen.working("verifying"):
-                result = verify(run, link, desk, limits)
-        except TwoRelayError as error:
-            if error.exit_code >= 3:
-                with contextlib.suppress(UsageError):  # the first error is the one to be told
-                    result = resolve(desk.journal, run)[1].result()
-                    result["status"] = error.status
-                    result["quality"]["reasons"] = [str(error)]
-                    write_json(result, json_target)
-            raise
+    with (
+        at_desk(screen) as desk,
+        failure_in_json(desk, run, json_target),
+        screen.working("verifying"),
+    ):
+        result = verify(run, link, desk, limits)
     show.verification(result, screen)
     return result

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from typing import Any
 
 from commissioning.guardian import guarded
 from commissioning.runner import Recorder
 from commissioning.runs import RunFolder, Samples
-from commissioning.session.desk import Desk, Options, connect, none_unfinished
+from commissioning.session.desk import Desk, Options, begin_run, connect, none_unfinished
 from commissioning.session.measurement import Measurement
 from commissioning.session.preflight import Limits, check_watchdog, choose_limits, look, writes
 from commissioning.session.result import blank
@@ -17,7 +16,7 @@ from commissioning.settings import Settings
 from drivers.drive import Drive
 from profiles.axis import Axis
 from profiles.errors import TwoRelayError
-from profiles.library import digest, source_text
+from profiles.library import source_text
 
 __all__ = ["Failure", "Work", "experiment_json", "in_a_run"]
 
@@ -69,18 +68,7 @@ def _run(
     none_unfinished(desk, identity.serial)
     limits = choose_limits(drive, axis, options)
     profile_text = source_text(axis.profile or drive.profile.name)
-    run_id = desk.journal.begin(
-        axis=axis.name,
-        link=drive.link,
-        profile=drive.profile.name,
-        profile_hash=digest(drive.profile),
-        serial=identity.serial,
-        context={
-            "axis": axis.model_dump(mode="json"),
-            "fraction": options.fraction,
-            "pid": os.getpid(),
-        },
-    )
+    run_id = begin_run(desk, drive, identity, axis, options.fraction)
     result["run"] = run_id
     recorder = Recorder(on_phase=desk.tell)
     folder = RunFolder.of(desk.journal, run_id)

@@ -14,9 +14,10 @@ from drivers.drive import Drive
 from drivers.link import is_simulated, open_drive
 from profiles.axis import Axis
 from profiles.errors import IdentityMismatch, Refused
+from profiles.library import digest
 from profiles.schema import Identity
 
-__all__ = ["Desk", "Options", "connect", "none_unfinished", "same_drive"]
+__all__ = ["Desk", "Options", "begin_run", "connect", "none_unfinished", "same_drive"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +59,20 @@ class Desk:
         """Ask; raises Refused when the answer is no."""
         if not self.confirm(question, word):
             raise Refused("not confirmed: nothing was moved or written")
+
+
+def begin_run(desk: Desk, drive: Drive, identity: Identity, axis: Axis, fraction: float) -> str:
+    """Open a run of the journal on a connected drive; return its id."""
+    return desk.journal.begin(
+        axis=axis.name,
+        link=drive.link,
+        profile=drive.profile.name,
+        profile_hash=digest(drive.profile),
+        serial=identity.serial,
+        context={
+            "axis": axis.model_dump(mode="json"), "fraction": fraction, "pid": os.getpid(),
+        },
+    )  # fmt: skip
 
 
 def none_unfinished(desk: Desk, serial: str) -> None:

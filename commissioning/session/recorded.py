@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import asdict
 from typing import Any
 
 from commissioning.compensation import Known, host_terms
 from commissioning.identification.estimate import Estimate
 from commissioning.runs import RunFolder
-from commissioning.session.desk import Desk, connect
+from commissioning.session.desk import Desk, begin_run, connect
 from commissioning.session.proposal import own_estimate, proposal
 from commissioning.session.result import blank, changes_json
 from profiles.axis import Axis
 from profiles.errors import UsageError
-from profiles.library import digest, source_text
+from profiles.library import source_text
 
 __all__ = ["for_drive"]
 
@@ -40,16 +39,7 @@ def for_drive(result: dict[str, Any], axis: Axis, fraction: float, desk: Desk) -
         result["host_compensation"] = asdict(added) if added else None
         named = blank(axis, drive.link, drive.profile, identity)
         result |= {key: named[key] for key in ("axis", "link", "profile", "identity")}
-        result["run"] = desk.journal.begin(
-            axis=axis.name,
-            link=drive.link,
-            profile=drive.profile.name,
-            profile_hash=digest(drive.profile),
-            serial=identity.serial,
-            context={
-                "axis": axis.model_dump(mode="json"), "fraction": fraction, "pid": os.getpid(),
-            },
-        )  # fmt: skip
+        result["run"] = begin_run(desk, drive, identity, axis, fraction)
         text = source_text(axis.profile or drive.profile.name)
     RunFolder.of(desk.journal, result["run"]).save(result, None, text)
     desk.journal.finish(result["run"], result["status"])

@@ -198,7 +198,10 @@ def _raise(job: Measurement, result: dict[str, Any]) -> tuple[list[_Step], _Step
     prove_watchdog(drive, rest, desk.interruption, desk.tell, without=job.options.without_watchdog)
     path = path_for(job.context, friction["coulomb"]["value"], friction["inertia"]["value"])
     new = {item["parameter"]: int(item["new_raw"]) for item in result["compensation"]}
-    goal = job.desk.journal.run(job.settings.run).context.get("fraction", job.options.fraction)
+    asked = desk.journal.run(job.settings.run).context.get("fraction", job.options.fraction)
+    goal = (result.get("verification") or {}).get(
+        "kept_fraction"
+    ) or asked  # the run holds its values
     sets = [(0.0, _share(drive, new, 0.0))]
     sets += [(part, _share(drive, new, part / goal)) for part in _STEPS if part < goal]
     sets.append((goal, new))

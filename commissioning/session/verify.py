@@ -16,7 +16,7 @@ from commissioning.runs import resolve
 from commissioning.session.apply import STORED, axis_of_run, store, unverified
 from commissioning.session.desk import Desk, Options, connect, none_unfinished, same_drive
 from commissioning.session.measurement import Measurement
-from commissioning.session.preflight import choose_limits, look, prove_watchdog
+from commissioning.session.preflight import check_watchdog, choose_limits, look, prove_watchdog
 from commissioning.settings import Settings
 from drivers.drive import Drive
 from drivers.sample import Sample
@@ -141,6 +141,7 @@ def _look(drive: Drive, axis: Axis, options: Options, desk: Desk, record: RunRec
         drive.profile, list(law.terms.values()), constant_known=axis.torque_constant is not None
     )
     look(drive, axis)
+    check_watchdog(drive, without=options.without_watchdog)
     limits = choose_limits(drive, axis, options)
     unit = axis.position_unit
     desk.agree(
@@ -158,14 +159,14 @@ def _with_steps(job: Measurement, result: dict[str, Any]) -> tuple[list[_Step], 
     names = [item["parameter"] for item in result["compensation"]]
     was = {name: drive.read_raw(name) for name in names}
     try:
-        with job.settings.exclusive_access():
-            steps, kept = job.within_settings(lambda: _raise(job, result))
-            old = {item["parameter"]: int(item["old_raw"]) for item in result["compensation"]}
-            final = old if kept is None else kept.raw
-            with desk.interruption.deferred():
-                _write(job, final)
-                if final != was or not desk.journal.noted(job.settings.run, STORED):
-                    store(drive, desk, job.settings.run, final)
+        steps, kept = job.within_settings(lambda: _raise(job, result))
+        old = {item["parameter"]: int(item["old_raw"]) for item in result["compensation"]}
+        final = old if kept is None else kept.raw
+        # the experiment's settings are back, its lock on other masters among them
+        with desk.interruption.deferred(), job.settings.exclusive_access():
+            _write(job, final)
+            if final != was or not desk.journal.noted(job.settings.run, STORED):
+                store(drive, desk, job.settings.run, final)
     except TwoRelayError as error:
         _go_back(job, was, error)
         raise
@@ -175,7 +176,7 @@ def _with_steps(job: Measurement, result: dict[str, Any]) -> tuple[list[_Step], 
 def _go_back(job: Measurement, was: Raw, error: TwoRelayError) -> None:
     """The values from before into the drive again; what cannot be done is added to `error`."""
     try:
-        with job.desk.interruption.deferred():
+        with job.desk.interruption.deferred(), job.settings.exclusive_access():
             _write(job, was)
     except TwoRelayError as second:
         text = (
@@ -199,9 +200,8 @@ def _raise(job: Measurement, result: dict[str, Any]) -> tuple[list[_Step], _Step
     path = path_for(job.context, friction["coulomb"]["value"], friction["inertia"]["value"])
     new = {item["parameter"]: int(item["new_raw"]) for item in result["compensation"]}
     asked = desk.journal.run(job.settings.run).context.get("fraction", job.options.fraction)
-    goal = (result.get("verification") or {}).get(
-        "kept_fraction"
-    ) or asked  # the run holds its values
+    verified = result.get("verification") or {}  # before: the run holds what stayed then
+    goal = verified.get("kept_fraction") or asked
     sets = [(0.0, _share(drive, new, 0.0))]
     sets += [(part, _share(drive, new, part / goal)) for part in _STEPS if part < goal]
     sets.append((goal, new))

@@ -31,11 +31,13 @@ class Restored:
     def __str__(self) -> str:
         parts = []
         if self.restored:
-            parts.append("restored " + ", ".join(self.restored))
+            parts.append("restored " + _listed(self.restored))
         if self.already:
-            parts.append("already as before " + ", ".join(self.already))
+            parts.append("already as before " + _listed(self.already))
         for what, found in (("skipped", self.skipped), ("failed", self.failed)):
-            parts += [f"{what} {name} ({why})" for name, why in found.items()]
+            for why in dict.fromkeys(found.values()):
+                names = [name for name in found if found[name] == why]
+                parts.append(f"{what} {_listed(names)} ({why})")
         return "; ".join(parts) if parts else "nothing to restore"
 
 
@@ -78,6 +80,11 @@ class Settings:
             self._journal.settle(
                 self._journal.intend(self.run, "experiment", parameter, there, there), "verified"
             )
+
+    def remember_bus(self) -> None:
+        """Journal what the cycle will change of the bus' own objects in the drive."""
+        for name, (old, new) in self._drive.bus_changes().items():
+            self._journal.intend(self.run, "experiment", name, old, new)
 
     def _check_way_back(self, parameter: str, old: int, new: int) -> None:
         """Refuse a write that could not be undone, or that is larger than the profile allows."""
@@ -146,7 +153,8 @@ def put_back(drive: Drive, intents: list[Intent], *, force: bool = False) -> Res
     oldest = {intent.parameter: intent.old for intent in reversed(intents)}
     ours = {name: {i.new for i in intents if i.parameter == name} for name in oldest}
     dead: str | None = None
-    for name in dict.fromkeys(intent.parameter for intent in reversed(intents)):
+    known = drive.profile.parameters
+    for name in dict.fromkeys(i.parameter for i in reversed(intents) if i.parameter in known):
         if dead is not None:
             outcome.failed[name] = dead
             continue
@@ -168,4 +176,25 @@ def put_back(drive: Drive, intents: list[Intent], *, force: bool = False) -> Res
             outcome.failed[name] = str(error)
             if isinstance(error, LinkError):
                 dead = "the link is gone"
+    _put_back_bus(drive, {n: raw for n, raw in oldest.items() if n not in known}, outcome, dead)
     return outcome
+
+
+def _put_back_bus(drive: Drive, old: dict[str, int], outcome: Restored, dead: str | None) -> None:
+    """Undo what the cycle changed of the bus' own objects, all at once."""
+    if not old:
+        return
+    try:
+        if dead is not None:
+            raise LinkError(dead)
+        done = outcome.restored if drive.put_back_bus(old) else outcome.already
+        done += old
+    except TwoRelayError as error:
+        outcome.failed |= dict.fromkeys(old, str(error))
+
+
+def _listed(names: list[str]) -> str:
+    """Parameters by name; the objects of a PDO are one thing to a reader."""
+    objects = [name for name in names if "h:" in name]
+    named = [name for name in names if name not in objects]
+    return ", ".join([*named, *(["PDO parameters"] if objects else [])])

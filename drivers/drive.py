@@ -102,6 +102,12 @@ class Drive(Protocol):
     def preparations(self, mode: Mode) -> dict[str, int]:
         """Raw value of each parameter that `mode` needs set before it is enabled."""
 
+    def bus_changes(self) -> dict[str, tuple[int, int]]:
+        """Objects of the bus' own that the cycle changes in the drive: what is there, and what will be."""
+
+    def put_back_bus(self, old: dict[str, int]) -> bool:
+        """Write back what `bus_changes` named. False: all was as before."""
+
     def store(self) -> None:
         """Make the parameters non-volatile; raises WriteFailed."""
 
@@ -168,6 +174,12 @@ class Bus(Protocol):
 
     def frame(self, address: Address, raw: int) -> bytes:
         """What is written to the port for `post`."""
+
+    def changes(self) -> dict[str, tuple[int, int]]:
+        """Objects of the bus' own that `start` changes in the drive: what is there, and what will be."""
+
+    def put_back(self, old: dict[str, int]) -> bool:
+        """Write back what `changes` named; the cycle ends with it. False: all was as before."""
 
     def start(self, idle: tuple[int, ...]) -> None:
         """Make the cycle ready; `idle` are the raw values of `cycle.out` that do nothing."""

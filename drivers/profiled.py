@@ -239,6 +239,14 @@ class ProfiledDrive:
             found[host] = 0  # it would act on top of every command
         return found
 
+    def bus_changes(self) -> dict[str, tuple[int, int]]:
+        """Objects of the bus' own that the cycle changes in the drive: what is there, and what will be."""
+        return self._bus.changes()
+
+    def put_back_bus(self, old: dict[str, int]) -> bool:
+        """Write back what `bus_changes` named. False: all was as before."""
+        return self._bus.put_back(old)
+
     def _is_set(self, name: str) -> bool:
         """Whether an object that not every drive has is there, and not zero."""
         try:

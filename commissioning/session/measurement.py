@@ -197,15 +197,16 @@ class Measurement:
             )
         return known
 
-    def _experiments(self) -> Measured:
-        known = self._first_look()
-        stopping = self._prove_stop(known)
-        rest = known.offset
-        self.context = replace(self.context, rest=rest)
-        self.known = known
-        self.stopping = stopping
-        self._rest = rest
+    def prepare(self) -> None:
+        """All that comes before the oscillations: first motions, proof of the stop path, design."""
+        self.known = self._first_look()
+        self.stopping = self._prove_stop(self.known)
+        self._rest = self.known.offset
+        self.context = replace(self.context, rest=self._rest)
         self._design()
+
+    def _experiments(self) -> Measured:
+        self.prepare()
         found = [self._once() for _ in range(self.options.repeat)]
         found[-1].repeats = [one.found.coulomb.value for one in found]
         points(found[-1], self, move=self.options.points)

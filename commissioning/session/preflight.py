@@ -195,6 +195,7 @@ def set_limits(drive: Drive, settings: Settings, limits: Limits) -> None:
         settings.write("experiment", name, raw)
     for name in SET & set(drive.profile.cycle.out):
         settings.remember(name)
+    settings.remember_bus()
     for code in drive.mode_codes():
         settings.write("experiment", "mode_of_operation", code)
     if drive.is_energised():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import struct
 from time import perf_counter
 
@@ -17,6 +18,7 @@ from profiles.errors import (
     PreflightRefused,
     ProfileError,
     TwoRelayError,
+    UsageError,
 )
 from profiles.schema import WIDTH_BITS, Address, CanopenAddress, Identity, Profile
 
@@ -37,6 +39,10 @@ _PDO_OFF = 1 << 31
 _PDO_FLAGS = 3 << 29  # no RTR, 29-bit frame: the drive's own
 _EVENT_DRIVEN = 255
 _EVERY_SYNC = 1
+_HEARTBEAT_PRODUCER = 0x1017, 0
+_OBJECT = re.compile(r"([0-9A-F]{4})h:([0-9A-F]{2})")
+
+Objects = dict[tuple[int, int], int]  # raw values by index and sub-index
 
 _CODE = {
     "i8": "b", "u8": "B", "i16": "h", "u16": "H", "i32": "i", "u32": "I", "i64": "q", "u64": "Q",
@@ -79,9 +85,16 @@ class CanopenBus:
                     f"profile '{profile.name}': [cycle] {what} takes {layout.size} bytes; a PDO "
                     "has 8"
                 )
-        self._rpdo = _Pdo(0x1400 + cycle.rpdo - 1, 0x1600 + cycle.rpdo - 1)
-        self._tpdo = _Pdo(0x1800 + cycle.tpdo - 1, 0x1A00 + cycle.tpdo - 1)
-        self._restore: list[tuple[int, int, bytes]] = []
+        self._rpdo = _Pdo(
+            0x1400 + cycle.rpdo - 1,
+            _EVENT_DRIVEN,
+            0x100 + 0x100 * cycle.rpdo + wire.node,
+            self._out,
+        )
+        self._tpdo = _Pdo(
+            0x1800 + cycle.tpdo - 1, _EVERY_SYNC, 0x80 + 0x100 * cycle.tpdo + wire.node, self._in
+        )
+        self._old: Objects = {}  # what was there before `start`
         self._running = False
         self._idle: tuple[int, ...] = ()
         watchdog = profile.watchdog
@@ -148,8 +161,13 @@ class CanopenBus:
         if self._wire.awaits_sync:
             self._check_sync()
         self._wire.nmt(NMT_PRE_OPERATIONAL)
-        self._map(self._rpdo, self._out, _EVENT_DRIVEN, 0x100 + 0x100 * self._profile.cycle.rpdo)
-        self._map(self._tpdo, self._in, _EVERY_SYNC, 0x80 + 0x100 * self._profile.cycle.tpdo)
+        for pdo in (self._rpdo, self._tpdo):
+            there = self._there(pdo)
+            wanted = pdo.wanted(there)
+            if not _agree(there, wanted):
+                self._old |= there
+                self._configure(pdo.communication, wanted)
+                self._check_mapping(pdo)
         self._wire.listen_tpdo(self._tpdo.cob_id)
         if self.in_real_time:
             self._ask_for_heartbeat()
@@ -157,6 +175,92 @@ class CanopenBus:
         self._wire.restarted = False
         self._wire.heard_at = perf_counter()
         self._running = True
+
+    def changes(self) -> dict[str, tuple[int, int]]:
+        """PDO parameters and heartbeat time that `start` changes: what is there, and what will be."""
+        found: dict[str, tuple[int, int]] = {}
+        if self._running:
+            return found
+        for pdo in (self._rpdo, self._tpdo):
+            there = self._there(pdo)
+            wanted = pdo.wanted(there)
+            if not _agree(there, wanted):
+                found |= {_name(at): (old, wanted.get(at, 0)) for at, old in there.items()}
+        if self.in_real_time and self._heartbeat_time() == 0:
+            found[_name(_HEARTBEAT_PRODUCER)] = 0, _HEARTBEAT_EVERY
+        return found
+
+    def put_back(self, old: dict[str, int]) -> bool:
+        """Write back what `changes` named; the cycle ends with it. False: all was as before."""
+        objects: Objects = {}
+        for name, raw in old.items():
+            match = _OBJECT.fullmatch(name)
+            if match is None:
+                raise UsageError(
+                    f"'{name}' is no parameter of the profile, and no object of the bus"
+                )
+            objects[int(match[1], 16), int(match[2], 16)] = raw
+        self._running = False
+        self._old = {at: raw for at, raw in self._old.items() if at not in objects}
+        return self._put_back(objects)
+
+    def _put_back(self, objects: Objects) -> bool:
+        if all(self._number(*at) == raw for at, raw in objects.items()):
+            return False
+        self._wire.nmt(NMT_PRE_OPERATIONAL)
+        if _HEARTBEAT_PRODUCER in objects:
+            self._download(_HEARTBEAT_PRODUCER, objects[_HEARTBEAT_PRODUCER])
+        for communication in sorted({i for i, _ in objects if 0x1400 <= i & ~0x400 < 0x1600}):
+            part = {
+                at: raw
+                for at, raw in objects.items()
+                if at[0] in (communication, communication + 0x200)
+            }
+            self._configure(communication, part)
+        return True
+
+    def _there(self, pdo: _Pdo) -> Objects:
+        """Parameters of a PDO as the drive has them."""
+        communication, mapping = pdo.communication, pdo.communication + 0x200
+        there = {(communication, sub): self._number(communication, sub) for sub in (1, 2)}
+        count = there[mapping, 0] = self._number(mapping, 0) & 0xFF
+        for sub in range(1, count + 1):
+            there[mapping, sub] = self._number(mapping, sub)
+        return there
+
+    def _configure(self, communication: int, objects: Objects) -> None:
+        """Write the parameters of one PDO in the order of CiA 301, 7.5.2.36: off, entries, on."""
+        mapping = communication + 0x200
+        number = objects[communication, 1]
+        self._download((communication, 1), number | _PDO_OFF)
+        self._download((communication, 2), objects[communication, 2])
+        self._download((mapping, 0), 0)
+        for sub in range(1, objects[mapping, 0] + 1):
+            self._download((mapping, sub), objects[mapping, sub])
+        self._download((mapping, 0), objects[mapping, 0])
+        self._download((communication, 1), number)
+
+    def _check_mapping(self, pdo: _Pdo) -> None:
+        mapping = pdo.communication + 0x200
+        found = [self._number(mapping, sub + 1) for sub in range(len(pdo.entries))]
+        if found != pdo.entries:
+            raise AccessDenied(
+                f"the drive did not take the mapping of {mapping:04X}h: it reads "
+                + ", ".join(f"{entry:08X}h" for entry in found)
+            )
+
+    def _number(self, index: int, sub: int) -> int:
+        return int.from_bytes(self._wire.upload(index, sub)[:4], "little")
+
+    def _download(self, at: tuple[int, int], raw: int) -> None:
+        index, sub = at
+        if at == _HEARTBEAT_PRODUCER:
+            size = 2
+        elif sub == 0 or (sub == 2 and index & 0x200 == 0):
+            size = 1  # number of entries, transmission type
+        else:
+            size = 4
+        self._wire.download(index, sub, raw.to_bytes(size, "little"))
 
     def _check_sync(self) -> None:
         """See that SYNC comes as often as the cycle says; raises PreflightRefused."""
@@ -176,17 +280,25 @@ class CanopenBus:
                 f"--cycle {round(period, 4):g}"
             )
 
+    def _heartbeat_time(self) -> int | None:
+        """Producer heartbeat time (1017h), ms; None: the node has none."""
+        try:
+            return self._number(*_HEARTBEAT_PRODUCER) & 0xFFFF
+        except AccessDenied:
+            return None
+
     def _ask_for_heartbeat(self) -> None:
         """See that the node produces a heartbeat (1017h); one without it is known by its TPDO only."""
-        try:
-            every = int.from_bytes(self._wire.upload(0x1017, 0)[:2], "little")
-            if not every:
-                self._wire.download(0x1017, 0, struct.pack("<H", _HEARTBEAT_EVERY))
-                self._restore.append((0x1017, 0, b"\0\0"))
-                every = _HEARTBEAT_EVERY
-        except AccessDenied:
-            return
-        self._silence_allowed = _HEARTBEATS_MISSED * every / 1000
+        every = self._heartbeat_time()
+        if every == 0:
+            every = _HEARTBEAT_EVERY
+            try:
+                self._download(_HEARTBEAT_PRODUCER, every)
+            except AccessDenied:
+                return
+            self._old[_HEARTBEAT_PRODUCER] = 0
+        if every is not None:
+            self._silence_allowed = _HEARTBEATS_MISSED * every / 1000
 
     def _supervise(self) -> None:
         """Raises LinkLost where the node has restarted, or fallen silent."""
@@ -204,43 +316,6 @@ class CanopenBus:
             self._silence_allowed = 0.0
             raise LinkLost(
                 f"no heartbeat from node {wire.node} for {silent * 1000:.0f} ms: the link is lost"
-            )
-
-    def _map(
-        self, pdo: _Pdo, wanted: list[CanopenAddress], transmission: int, default_id: int
-    ) -> None:
-        """Write a PDO's mapping, unless the drive has it already; remember what was there."""
-        wire = self._wire
-        raw_id = _u32(wire.upload(pdo.communication, 1))
-        pdo.cob_id = raw_id & 0x7FF or default_id + wire.node
-        number = raw_id & _PDO_FLAGS | pdo.cob_id
-        kind = wire.upload(pdo.communication, 2)[:1]
-        count = wire.upload(pdo.mapping, 0)[0]
-        there = [_u32(wire.upload(pdo.mapping, n + 1)) for n in range(count)]
-        entries = [a.index << 16 | a.sub << 8 | WIDTH_BITS[a.type] for a in wanted]
-        if there == entries and kind == bytes((transmission,)) and not raw_id & _PDO_OFF:
-            return
-        # put back in reverse order: off, transmission, no entries, entries, count, as it was
-        self._restore += [
-            (pdo.communication, 1, struct.pack("<I", raw_id)),
-            (pdo.mapping, 0, bytes((count,))),
-            *((pdo.mapping, n + 1, struct.pack("<I", entry)) for n, entry in enumerate(there)),
-            (pdo.mapping, 0, b"\0"),
-            (pdo.communication, 2, kind),
-            (pdo.communication, 1, struct.pack("<I", raw_id | _PDO_OFF)),
-        ]
-        wire.download(pdo.communication, 1, struct.pack("<I", number | _PDO_OFF))
-        wire.download(pdo.communication, 2, bytes((transmission,)))
-        wire.download(pdo.mapping, 0, b"\0")
-        for n, entry in enumerate(entries):
-            wire.download(pdo.mapping, n + 1, struct.pack("<I", entry))
-        wire.download(pdo.mapping, 0, bytes((len(entries),)))
-        wire.download(pdo.communication, 1, struct.pack("<I", number))
-        found = [_u32(wire.upload(pdo.mapping, n + 1)) for n in range(len(entries))]
-        if found != entries:
-            raise AccessDenied(
-                f"the drive did not take the mapping of {pdo.mapping:04X}h: it reads "
-                + ", ".join(f"{entry:08X}h" for entry in found)
             )
 
     def exchange(self, values: tuple[int, ...]) -> Exchange:
@@ -314,31 +389,51 @@ class CanopenBus:
         return f"emergency {code:04X}h, error register {register:02X}h"
 
     def close(self) -> None:
-        """Put the PDO mapping back and let go of the adapter."""
+        """Put back what `start` changed, and let go of the adapter."""
         self._running = False
         try:
-            if self._restore:
-                self._wire.nmt(NMT_PRE_OPERATIONAL)
-            for index, sub, data in reversed(self._restore):
-                with contextlib.suppress(AccessDenied):  # volatile, and the next entry may be taken
-                    self._wire.download(index, sub, data)
-        except TwoRelayError:
-            self._restore.clear()  # a dead link is reported by whoever used it
+            # a dead link is reported by whoever used it
+            with contextlib.suppress(TwoRelayError):
+                self._put_back(self._old)
         finally:
             self._wire.close()
 
 
 class _Pdo:
-    """Where a PDO's parameters are, and its COB-ID once it is known."""
+    """A PDO and what it is to carry; its COB-ID once it is known."""
 
-    def __init__(self, communication: int, mapping: int) -> None:
+    def __init__(
+        self, communication: int, transmission: int, default_id: int, mapped: list[CanopenAddress]
+    ) -> None:
         self.communication = communication
-        self.mapping = mapping
+        self.transmission = transmission
+        self.default_id = default_id
+        self.entries = [a.index << 16 | a.sub << 8 | WIDTH_BITS[a.type] for a in mapped]
         self.cob_id = 0
 
+    def wanted(self, there: Objects) -> Objects:
+        """Its parameters, with the COB-ID that the drive has for it, where it has one."""
+        communication, mapping = self.communication, self.communication + 0x200
+        number = there[communication, 1]
+        self.cob_id = number & 0x7FF or self.default_id
+        return {
+            (communication, 1): number & _PDO_FLAGS | self.cob_id,
+            (communication, 2): self.transmission,
+            (mapping, 0): len(self.entries),
+            **{(mapping, n): entry for n, entry in enumerate(self.entries, 1)},
+        }
 
-def _u32(data: bytes) -> int:
-    return int.from_bytes(data[:4], "little")
+
+def _agree(there: Objects, wanted: Objects) -> bool:
+    """Whether the drive has a PDO as it is wanted; flags that are not ours do not count."""
+    return there.keys() == wanted.keys() and all(
+        there[at] == raw or (at[1] == 1 and at[0] & 0x200 == 0 and not there[at] & _PDO_OFF)
+        for at, raw in wanted.items()
+    )
+
+
+def _name(at: tuple[int, int]) -> str:
+    return f"{at[0]:04X}h:{at[1]:02X}"
 
 
 def _canopen(address: Address) -> CanopenAddress:

@@ -141,6 +141,14 @@ class ModbusBus:
         )
         return found[0]
 
+    def changes(self) -> dict[str, tuple[int, int]]:
+        """Nothing beside the parameters of the profile."""
+        return {}
+
+    def put_back(self, old: dict[str, int]) -> bool:
+        """Nothing to put back."""
+        return False
+
     def start(self, idle: tuple[int, ...]) -> None:
         """The cycle begins with the first exchange; until then `idle` is in force."""
         self._before = None

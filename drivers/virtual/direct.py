@@ -82,6 +82,14 @@ class DirectBus:
         """There is no port."""
         raise NotImplementedError
 
+    def changes(self) -> dict[str, tuple[int, int]]:
+        """Nothing beside the parameters of the profile."""
+        return {}
+
+    def put_back(self, old: dict[str, int]) -> bool:
+        """Nothing to put back."""
+        return False
+
     def start(self, idle: tuple[int, ...]) -> None:
         """Nothing to set up."""
         self._mode_is_torque = self._firmware.values["mode"] in (4, 10)

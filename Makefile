@@ -1,11 +1,11 @@
-# make demo | test | check | bench | fuzz | faults | limits – each sets itself up on a bare machine with Python 3.11
+# make demo | test | check | bench | fuzz | faults | faults-long | limits – each sets itself up on a bare machine with Python 3.11
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 CASES ?= 12000
 
-.PHONY: demo test check bench fuzz faults limits format lint types imports lock clean
+.PHONY: demo test check bench fuzz faults faults-long limits format lint types imports lock clean
 
 demo: $(STAMP)
 	$(BIN)/tworelay demo
@@ -27,9 +27,12 @@ bench: $(STAMP)
 fuzz: $(STAMP)
 	TWORELAY_FUZZ=$(CASES) $(BIN)/python -m pytest tests/fuzz -n auto --timeout 1800
 
-# a job in which every transaction breaks once, in every way; ends with "faults: N cases, M held"
+# a short job in which every transaction breaks once, in every way, on four wires; and 1 000 random ones a
+# wire of the whole job; both end with "faults: N cases, M held"
 faults: $(STAMP)
 	$(BIN)/python -m tests.faults.every
+faults-long: $(STAMP)
+	$(BIN)/python -m tests.faults.every --long
 
 # random axes and settings in simulated time; ends with "limits: N axes, M held"
 limits: $(STAMP)

@@ -40,6 +40,7 @@ _PDO_FLAGS = 3 << 29  # no RTR, 29-bit frame: the drive's own
 _EVENT_DRIVEN = 255
 _EVERY_SYNC = 1
 _HEARTBEAT_PRODUCER = 0x1017, 0
+_MAPPING = 0x200  # from a PDO's communication parameters to its mapping
 _OBJECT = re.compile(r"([0-9A-F]{4})h:([0-9A-F]{2})")
 
 Objects = dict[tuple[int, int], int]  # raw values by index and sub-index
@@ -210,18 +211,18 @@ class CanopenBus:
         self._wire.nmt(NMT_PRE_OPERATIONAL)
         if _HEARTBEAT_PRODUCER in objects:
             self._download(_HEARTBEAT_PRODUCER, objects[_HEARTBEAT_PRODUCER])
-        for communication in sorted({i for i, _ in objects if 0x1400 <= i & ~0x400 < 0x1600}):
+        for communication in sorted({index & ~_MAPPING for index, _ in objects if index >= 0x1400}):
             part = {
                 at: raw
                 for at, raw in objects.items()
-                if at[0] in (communication, communication + 0x200)
+                if at[0] in (communication, communication + _MAPPING)
             }
             self._configure(communication, part)
         return True
 
     def _there(self, pdo: _Pdo) -> Objects:
         """Parameters of a PDO as the drive has them."""
-        communication, mapping = pdo.communication, pdo.communication + 0x200
+        communication, mapping = pdo.communication, pdo.communication + _MAPPING
         there = {(communication, sub): self._number(communication, sub) for sub in (1, 2)}
         count = there[mapping, 0] = self._number(mapping, 0) & 0xFF
         for sub in range(1, count + 1):
@@ -230,7 +231,7 @@ class CanopenBus:
 
     def _configure(self, communication: int, objects: Objects) -> None:
         """Write the parameters of one PDO in the order of CiA 301, 7.5.2.36: off, entries, on."""
-        mapping = communication + 0x200
+        mapping = communication + _MAPPING
         number = objects[communication, 1]
         self._download((communication, 1), number | _PDO_OFF)
         self._download((communication, 2), objects[communication, 2])
@@ -241,7 +242,7 @@ class CanopenBus:
         self._download((communication, 1), number)
 
     def _check_mapping(self, pdo: _Pdo) -> None:
-        mapping = pdo.communication + 0x200
+        mapping = pdo.communication + _MAPPING
         found = [self._number(mapping, sub + 1) for sub in range(len(pdo.entries))]
         if found != pdo.entries:
             raise AccessDenied(
@@ -256,7 +257,7 @@ class CanopenBus:
         index, sub = at
         if at == _HEARTBEAT_PRODUCER:
             size = 2
-        elif sub == 0 or (sub == 2 and index & 0x200 == 0):
+        elif sub == 0 or (sub == 2 and not index & _MAPPING):
             size = 1  # number of entries, transmission type
         else:
             size = 4
@@ -413,7 +414,7 @@ class _Pdo:
 
     def wanted(self, there: Objects) -> Objects:
         """Its parameters, with the COB-ID that the drive has for it, where it has one."""
-        communication, mapping = self.communication, self.communication + 0x200
+        communication, mapping = self.communication, self.communication + _MAPPING
         number = there[communication, 1]
         self.cob_id = number & 0x7FF or self.default_id
         return {
@@ -427,7 +428,7 @@ class _Pdo:
 def _agree(there: Objects, wanted: Objects) -> bool:
     """Whether the drive has a PDO as it is wanted; flags that are not ours do not count."""
     return there.keys() == wanted.keys() and all(
-        there[at] == raw or (at[1] == 1 and at[0] & 0x200 == 0 and not there[at] & _PDO_OFF)
+        there[at] == raw or (at[1] == 1 and not at[0] & _MAPPING and not there[at] & _PDO_OFF)
         for at, raw in wanted.items()
     )
 

@@ -1,89 +1,167 @@
-"""A job through a proxy that breaks it, and everything that must hold afterwards."""
+"""A short job through a wire that breaks it, and everything that must hold afterwards."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+from commissioning.experiments.approach import approach
+from commissioning.experiments.oscillations import Oscillations, Stretch, oscillations
+from commissioning.experiments.plan import Plan
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from commissioning.session.apply import restore
-from commissioning.session.armed import Failure
+from commissioning.session.armed import Failure, in_a_run
 from commissioning.session.desk import Desk, Options
 from commissioning.session.identify import identify
-from drivers.link import open_drive
+from commissioning.session.measurement import Measurement
+from drivers.link import open_can, open_drive, parse
 from profiles.axis import Axis
-from tests.faults.proxy import Proxy, Way
+from tests.faults.proxy import NEED_NO_ANSWER, WIRES, Proxy, Way
 
-__all__ = ["Rig"]
+__all__ = ["Rig", "ways"]
 
-SHORT = Options(travel=20.0, cycle=0.015, method="modulating")
 WATCHED = (
     "max_torque", "max_speed", "abort_connection_option", "quick_stop_option", "watchdog_time",
     "mode_of_operation", "torque_target", "coulomb_positive", "coulomb_negative",
     "viscous_gain", "torque_offset",
 )  # fmt: skip
+PDO = (
+    (0x1400, 1), (0x1400, 2), (0x1600, 0), (0x1600, 1), (0x1800, 1), (0x1800, 2), (0x1A00, 0), (0x1A00, 1),
+    (0x1017, 0),
+)  # fmt: skip
 ALLOWED = {3, 4, 5, 6, 7}  # refused, link, drive stopped, rejected, not put back: never a bug (1)
+_CYCLE, _TRAVEL = 0.015, 5.0  # s, rad
+_PATIENCE = 0.05  # s for an answer
+
+
+def ways(answered: list[bool]) -> list[tuple[int, Way]]:
+    """Every case of a job whose transactions are answered so."""
+    return [
+        (at, way)
+        for at, is_answered in enumerate(answered)
+        for way in Way
+        if is_answered or way in NEED_NO_ANSWER
+    ]
+
+
+def short(job: Measurement, result: dict[str, Any]) -> None:
+    """Every phase of a measurement in less than 300 cycles, and nothing evaluated."""
+
+    def plan() -> Plan[Oscillations]:
+        sample = yield job.known.offset
+        yield from approach(job.context, sample.position + 0.04 * _TRAVEL, job.known)
+        return (
+            yield from oscillations(job.context, job.plan, job.known, 2, (Stretch(2, 1, 1),))
+        )  # fmt: skip
+
+    def work() -> None:
+        job.prepare()
+        job.run(plan())
+
+    job.within_settings(work)
 
 
 class Rig:
-    """A served drive, and jobs on it through a proxy."""
+    """A served drive, and jobs on it through a wire that breaks.
 
-    def __init__(self, link: str, home: Path) -> None:
-        self.direct = Axis(link=f"{link}&timeout=2", profile="virtual-modbus", travel=20.0)
-        self.port = int(link.split(":")[2].split("?", maxsplit=1)[0])
+    Parameters
+    ----------
+    links : of the drive: by Modbus TCP, to look at it, and on the wire
+    whole : the whole job, and not the short one
+    """
+
+    def __init__(self, links: list[str], wire: str, home: Path, *, whole: bool = False) -> None:
+        self.wire = WIRES[wire]
+        self.whole = whole
+        patient = f"{links[0]}&timeout=2"
+        self._watch = open_drive(Axis(link=patient, profile="virtual-modbus"))
+        self.direct = f"{links[-1]}&timeout=2"
         self.home = home
         self.before = self.look()
 
     def look(self) -> dict[str, int]:
         """Parameters of the drive, after time enough for its own watchdog; it must be de-energised."""
-        drive = open_drive(self.direct)
+        watch = self._watch
+        watch.wait(0.2)
+        assert not watch.is_energised(), "the axis is energised"
+        if watch.in_fault():
+            watch.reset_fault()
+        watch.wait(2.0)  # it coasts to rest before the next case
+        if "canopen" not in self.direct:
+            return {name: watch.read_raw(name) for name in WATCHED}
+        drive = open_drive(Axis(link=self.direct, profile=self.wire.profile))
         try:
-            drive.wait(0.2)
-            assert not drive.is_energised(), "the axis is energised"
-            if drive.in_fault():
-                drive.reset_fault()
-            drive.wait(2.0)  # it coasts to rest before the next case
-            return {name: drive.read_raw(name) for name in WATCHED}
+            found = {name: drive.read_raw(name) for name in WATCHED}
         finally:
             drive.close()
+        return found | self._look_at_pdos()
 
-    def case(self, at: int | None, way: Way) -> tuple[int, int]:
-        """One job; returns (transactions, exit code), after everything that must hold was checked."""
-        proxy = Proxy(self.port, at, way)
-        link = f"modbus-tcp://127.0.0.1:{proxy.port}?unit=1&clock=step&timeout=0.05"
-        axis = self.direct.model_copy(update={"link": link})
+    def close(self) -> None:
+        """Look no more."""
+        self._watch.close()
+
+    def _look_at_pdos(self) -> dict[str, int]:
+        from drivers.canopen.wire import CanWire
+
+        wire = CanWire(open_can(parse(self.direct)), 5, 2.0)
+        try:
+            return {
+                f"{index:04X}h:{sub:02X}": int.from_bytes(wire.upload(index, sub)[:4], "little")
+                for index, sub in PDO
+            }
+        finally:
+            wire.close()
+
+    def _drive_end(self) -> int | str:
+        """Port or path of the drive's end of the wire."""
+        link = parse(self.direct)
+        if "slcan" in link.place:
+            return link.place.removeprefix("slcan/").replace("%2F", "/")
+        return int(link.place.removeprefix("socketcand/").split("/")[0].rpartition(":")[2])
+
+    def case(self, at: int | None, way: Way) -> tuple[list[bool], int]:
+        """One job; returns (answered, exit code), after everything that must hold was checked."""
+        proxy = Proxy(self.wire, self._drive_end(), at, way)
+        link = f"{self.wire.link.format(proxy.place)}&clock=step&timeout={_PATIENCE}"
+        axis = Axis(link=link, profile=self.wire.profile, travel=_TRAVEL)
+        options = Options(
+            travel=20.0 if self.whole else _TRAVEL,
+            max_torque=2.9,
+            cycle=_CYCLE,
+            method="modulating",
+        )
         lines: list[str] = []
         code = 0
         try:
             with Journal(self.home) as journal:
                 desk = Desk(journal, Interruption(), lines.append, lambda question, word: True)
                 try:
-                    identify(axis, SHORT, desk)
+                    if self.whole:
+                        identify(axis, options, desk)
+                    else:
+                        in_a_run(axis, options, desk, short)
                 except Failure as failure:
                     code = failure.error.exit_code
                     text = str(failure.error)
                     assert code in ALLOWED, text
                     assert len(text.splitlines()) == 1
-                count = proxy.count
+                answered = list(proxy.answered)
         finally:
             proxy.close()
         after = self.look()
         with Journal(self.home) as journal:
-            changed = {name for name in WATCHED if after[name] != self.before[name]}
+            changed = {name for name, value in after.items() if value != self.before[name]}
             run = journal.run("last").id if journal.open_runs() else None
             named = {i.parameter for i in journal.intents(run, open_only=True)} if run else set()
             assert changed <= named, f"changed and in no journal: {changed - named}"
             assert not changed or code, "a job that says nothing left settings changed"
             if run:
                 desk = Desk(journal, Interruption(), lines.append, lambda question, word: True)
-                outcome = restore(run, self.direct.link, desk, force=False)
+                outcome = restore(run, self.direct, desk, force=False)
                 assert outcome.complete, str(outcome)
             assert not journal.open_runs()
-        now = self.look()
-        wrong = {
-            name: (now[name], self.before[name])
-            for name in WATCHED
-            if now[name] != self.before[name]
-        }
+        now = self.look() if run else after
+        wrong = {n: (now[n], was) for n, was in self.before.items() if now[n] != was}
         assert not wrong, f"not restored (now, before): {wrong}; {lines[-3:]}"
-        return count, code
+        return answered, code

@@ -10,21 +10,25 @@ from collections.abc import Generator
 from pathlib import Path
 
 from tests.conftest import ROOT
+from tests.faults.proxy import WIRES
 
 __all__ = ["served"]
 
 
 @contextlib.contextmanager
-def served(axis: str, *arguments: str) -> Generator[str]:
-    """Its link."""
+def served(wire: str) -> Generator[list[str]]:
+    """Its links: by Modbus TCP, and on the wire (which may be the same)."""
+    arguments = WIRES["modbus-tcp"].serve
+    if wire != "modbus-tcp":
+        arguments += WIRES[wire].serve
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "commissioning", "virtual", "serve", axis, *arguments]
+        command = [sys.executable, "-m", "commissioning", "virtual", "serve", "bench", *arguments]
         with subprocess.Popen(
-            [*command, "--state", str(Path(folder) / "drive.json")],
+            [*command, "--clock", "step", "--state", str(Path(folder) / "drive.json")],
             stdout=subprocess.PIPE, text=True, cwd=ROOT,
         ) as server:  # fmt: skip
             assert server.stdout is not None
             try:
-                yield server.stdout.readline().strip()
+                yield [server.stdout.readline().strip() for _ in range(len(arguments) // 2)]
             finally:
                 server.terminate()

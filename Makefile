@@ -1,11 +1,11 @@
-# make demo | test | check | bench | fuzz | faults | faults-long | limits – each sets itself up on a bare machine with Python 3.11
+# make demo | test | check | bench | fuzz | faults | faults-long | kills | limits – each sets itself up on a bare machine with Python 3.11
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 CASES ?= 12000
 
-.PHONY: demo test check bench fuzz faults faults-long limits format lint types imports lock clean
+.PHONY: demo test check bench fuzz faults faults-long kills limits format lint types imports lock clean
 
 demo: $(STAMP)
 	$(BIN)/tworelay demo
@@ -33,6 +33,10 @@ faults: $(STAMP)
 	$(BIN)/python -m tests.faults.every
 faults-long: $(STAMP)
 	$(BIN)/python -m tests.faults.every --long
+
+# jobs that die at every step of their journal, in five ways; ends with "kills: N cases, M held"
+kills: $(STAMP)
+	$(BIN)/python -m tests.faults.kills
 
 # random axes and settings in simulated time; ends with "limits: N axes, M held"
 limits: $(STAMP)

@@ -208,12 +208,20 @@ class Journal:
             )
             return int(row.lastrowid or 0)
 
-    def settle(self, seq: int, state: State) -> None:
-        """Say how far an intent got."""
+    def settle(self, intents: list[int], state: State) -> None:
+        """Say how far intents got: all of them at once, or none.
+
+        An old value that is back settles every intent about it; a later one alone would name a value in
+        between as the old one.
+        """
+        now = time.time()
         with self._errors():
-            self._db.execute(
-                "UPDATE intents SET state=?, at=? WHERE seq=?", (state, time.time(), seq)
+            self._db.execute("BEGIN IMMEDIATE")
+            self._db.executemany(
+                "UPDATE intents SET state=?, at=? WHERE seq=?",
+                [(state, now, seq) for seq in intents],
             )
+            self._db.execute("COMMIT")
 
     def intents(self, run: str, *, open_only: bool = False) -> list[Intent]:
         """Intents of a run in order; `open_only`: those that `restore` would undo."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
+import os
 import re
 import shutil
 import zipfile
@@ -23,7 +25,7 @@ from profiles.library import load_profile
 __all__ = ["RunFolder", "Samples", "resolve"]
 
 _COLUMNS = ("time", "position", "torque", "command", "sent", "lateness", "missed")
-_LARGEST_JSON = 20_000_000  # bytes
+_LARGEST_JSON, _LARGEST_SAMPLES = 20_000_000, 1_000_000_000  # bytes
 
 
 class Samples:
@@ -73,16 +75,19 @@ class RunFolder:
         """Write what is given; raises JournalError."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)
-            _replace(self.path / "run.json", json.dumps(result, indent=1, allow_nan=False))
+            if profile is not None:
+                _replace(self.path / "profile.toml", profile.encode())
+            text = json.dumps(result, indent=1, allow_nan=False)
+            _replace(self.path / "run.json", text.encode())
             if samples is not None:
+                archive = io.BytesIO()
                 np.savez(
-                    self.path / "samples.npz",
+                    archive,
                     allow_pickle=False,
                     phases=np.array(json.dumps(samples.phases)),
                     **samples.columns,
                 )
-            if profile is not None:
-                _replace(self.path / "profile.toml", profile)
+                _replace(self.path / "samples.npz", archive.getvalue())
         except OSError as error:
             raise JournalError(f"cannot write the run to {self.path}: {error}") from None
 
@@ -108,6 +113,9 @@ class RunFolder:
         if not path.exists():
             return None
         try:
+            with zipfile.ZipFile(path) as packed:
+                if sum(item.file_size for item in packed.infolist()) > _LARGEST_SAMPLES:
+                    raise UsageError(f"{path}: too large for samples")
             with np.load(path, allow_pickle=False) as archive:
                 columns = {name: np.asarray(archive[name], float) for name in _COLUMNS}
                 phases = [(int(n), str(text)) for n, text in json.loads(str(archive["phases"]))]
@@ -218,9 +226,13 @@ def _is_folder(path: Path) -> bool:
         return False
 
 
-def _replace(path: Path, text: str) -> None:
+def _replace(path: Path, content: bytes) -> None:
+    """The old content or the new one, whenever the power fails."""
     fresh = path.with_suffix(path.suffix + ".new")
-    fresh.write_text(text, "utf-8")
+    with fresh.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
     fresh.replace(path)
 
 

@@ -63,7 +63,7 @@ class Settings:
         self._check_way_back(parameter, old, new)
         intent = self._journal.intend(self.run, kind, parameter, old, new)
         self._drive.write_raw(parameter, new)
-        self._journal.settle(intent, "verified")
+        self._journal.settle([intent], "verified")
         return True
 
     def oldest(self, parameter: str) -> int:
@@ -77,9 +77,8 @@ class Settings:
         """Journal a set-point as it is, to be put back after motion."""
         if self._drive.profile.parameters[parameter].protection is Protection.COMMAND:
             there = self._drive.read_raw(parameter)
-            self._journal.settle(
-                self._journal.intend(self.run, "experiment", parameter, there, there), "verified"
-            )
+            intent = self._journal.intend(self.run, "experiment", parameter, there, there)
+            self._journal.settle([intent], "verified")
 
     def remember_bus(self) -> None:
         """Journal what the cycle will change of the bus' own objects in the drive."""
@@ -136,12 +135,12 @@ class Settings:
 def settle(journal: Journal, intents: list[Intent], outcome: Restored) -> None:
     """Mark as restored what is; a journal that fails here is reported with the rest."""
     done = {*outcome.restored, *outcome.already}
-    for intent in intents:
-        if intent.parameter in done:
-            try:
-                journal.settle(intent.seq, "restored")
-            except JournalError as error:
-                outcome.failed[intent.parameter] = f"it has its old value, but {error}"
+    settled = [intent for intent in intents if intent.parameter in done]
+    try:
+        journal.settle([intent.seq for intent in settled], "restored")
+    except JournalError as error:
+        for intent in settled:
+            outcome.failed[intent.parameter] = f"it has its old value, but {error}"
 
 
 def put_back(drive: Drive, intents: list[Intent], *, force: bool = False) -> Restored:

@@ -1,11 +1,11 @@
-# make demo | test | check | bench | fuzz | faults | faults-long | kills | limits – each sets itself up on a bare machine with Python 3.11
+# make demo | test | check | bench | fuzz | faults | faults-long | kills | machine-faults | limits – each sets itself up on a bare machine with Python 3.11
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 CASES ?= 12000
 
-.PHONY: demo test check bench fuzz faults faults-long kills limits format lint types imports lock clean
+.PHONY: demo test check bench fuzz faults faults-long kills machine-faults limits format lint types imports lock clean
 
 demo: $(STAMP)
 	$(BIN)/tworelay demo
@@ -37,6 +37,10 @@ faults-long: $(STAMP)
 # jobs that die at every step of their journal, in five ways; ends with "kills: N cases, M held"
 kills: $(STAMP)
 	$(BIN)/python -m tests.faults.kills
+
+# the machine itself fails in every phase, in simulated time; ends with "machine faults: N cases, M held"
+machine-faults: $(STAMP)
+	$(BIN)/python -m tests.faults.machine
 
 # random axes and settings in simulated time; ends with "limits: N axes, M held"
 limits: $(STAMP)

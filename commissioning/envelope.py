@@ -13,6 +13,7 @@ __all__ = ["Envelope", "Watch"]
 
 _MEASURED_TORQUE_SHARE = 1.5  # of the limit; sustained, so that a spike of noise does not trip
 _MEASURED_TORQUE_CYCLES = 10
+_STAYS = 0.05  # of the travel, while the drive takes over
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +49,9 @@ class Envelope:
     position_unit: str = "rad"
     effort_unit: str = "N.m"
 
-    def watch(self) -> Watch:
-        """A fresh watch over one run."""
-        return Watch(self)
+    def watch(self, position: float) -> Watch:
+        """A fresh watch over one run, which begins at `position`, rad or m."""
+        return Watch(self, position)
 
 
 class Watch:
@@ -61,7 +62,7 @@ class Watch:
         "_position", "_rated2", "_speed", "_time", "_torque", "_travel",
     )  # fmt: skip
 
-    def __init__(self, envelope: Envelope) -> None:
+    def __init__(self, envelope: Envelope, position: float) -> None:
         self._envelope = envelope
         self._centre = envelope.centre
         self._travel = envelope.travel
@@ -75,7 +76,7 @@ class Watch:
             self._c0, self._c1, self._c2 = envelope.stopping.coefficients(envelope.relay_torque)
         self._began = inf
         self._time = inf
-        self._position = 0.0
+        self._position = position
         self._heat = envelope.heat
         self._over = 0
 
@@ -112,6 +113,7 @@ class Watch:
                 self._trip(sample, speed, reach)
         elif self._began == inf:
             self._began = time
+            self._check_start(position)
         torque = sample.torque
         if torque > self._torque * _MEASURED_TORQUE_SHARE or (
             torque < -self._torque * _MEASURED_TORQUE_SHARE
@@ -127,6 +129,15 @@ class Watch:
             self._over = 0
         self._time = time
         self._position = position
+
+    def _check_start(self, position: float) -> None:
+        """The axis is still where it was before the drive took over."""
+        e, moved = self._envelope, position - self._position
+        if abs(moved) > _STAYS * e.travel:
+            raise EnvelopeTripped(
+                f"the axis, or its encoder, moved by {moved:+.3g} {e.position_unit} while the drive "
+                "was enabled; the axis was stopped. Find out why first"
+            )
 
     def _trip(self, sample: Sample, speed: float, reach: float) -> None:
         e = self._envelope

@@ -70,7 +70,7 @@ def run(
         Of the plan, the drive, the envelope or an interruption; its message says also how the stop
         went when that is not verified.
     """
-    watch = envelope.watch()
+    watch = envelope.watch(drive.read("position_actual"))
     record, check, admit = recorder.samples.append, watch.check, watch.admit
     exchange, send, feed = drive.exchange, plan.send, guardian.feed
     urgent = real_time() if drive.in_real_time else nullcontext()

@@ -16,6 +16,8 @@ __all__ = ["Cia402Power", "PowerStage", "ProcedurePower", "perform", "power_of"]
 _POLL = 0.005  # s between two looks at a state
 _TRANSITION = 2.0  # s for one transition of the state machine, brake included
 
+_WAY_UP = "switch on disabled", "ready to switch on", "switched on", "operation enabled"
+
 Frame = list[int]  # raw values of cycle.out
 
 
@@ -132,12 +134,19 @@ class Cia402Power:
         if at is not None:
             frame[at] = cia402.SHUTDOWN if enabled else cia402.SWITCH_ON
         sent: tuple[str, int] | None = None
-        cycles = 0
+        cycles = reached = 0
         while True:
             word = self._word()
             here = cia402.state(word)
             if here in goals:
                 return
+            height = _WAY_UP.index(here) if here in _WAY_UP else 0
+            if enabled and height < reached:
+                raise DriveFault(
+                    f"the drive fell back to '{here}' while it was enabled (STO, a limit switch, an enable "
+                    f"input?): {self._describe()}; it is not tried again"
+                )
+            reached = height
             if enabled and cia402.status(word).fault:
                 raise DriveFault(f"the drive went into fault while enabling: {self._describe()}")
             step = cia402.next_controlword(word, enabled=enabled)

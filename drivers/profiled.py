@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import isnan, nan
+from math import inf, isnan, nan
 
 from drivers.drive import SET, Bus, Exchange, StopFrames, StopReport
 from drivers.power import perform, power_of
@@ -44,6 +44,7 @@ _COUNTED_IN_INCREMENTS = {Unit.INCREMENT, Unit.INCREMENT_PER_SECOND}
 _POLL = 0.005  # s between two looks at a state
 _MODE_CHANGE = 2.0  # s
 _BETWEEN_FRAMES = 0.03  # s, for an answer that nobody reads
+_FASTER, _JITTER, _FASTER_LOOKS = 2.0, 20, 3  # of the least motion between two looks, counts, looks
 _REPEATS = 3  # of frames that nobody confirms
 
 
@@ -63,6 +64,7 @@ class ProfiledDrive:
         self.in_real_time = bus.in_real_time
         self._bus = bus
         self._power = power_of(bus, profile, self.status_text)
+        self._looks = round(profile.stop_time / _POLL)  # at a drive that is stopping
         self._rest_raw = 0
         self._energised = False
         self.scaling = Scaling(1.0, 1.0, axis.mechanics) if to_stop else self._read_bases(axis)
@@ -497,7 +499,7 @@ class ProfiledDrive:
             attempt(lambda: self._await_standstill(hurry))
         post(self.profile.disable)
         state: bool | None = None
-        for _ in range(3):
+        for _ in range(self._looks):
             try:
                 state = not self.is_energised()
             except Exception as error:
@@ -512,11 +514,21 @@ class ProfiledDrive:
         return StopReport(state, tuple(dict.fromkeys(failures)))
 
     def _await_standstill(self, hurry: Callable[[], bool]) -> None:
-        """Wait until the drive has stopped the axis and closed the brake, at most `stop_time`."""
-        for _ in range(round(self.profile.stop_time / _POLL)):
+        """Wait until the drive has stopped the axis and closed the brake, at most `stop_time`.
+
+        An axis that becomes faster is not being stopped: then the energy goes at once.
+        """
+        position, slowest, faster = self.read_raw("position_actual"), inf, 0
+        for _ in range(self._looks):
             if not self.is_energised() or hurry():
                 return
             self._bus.wait(_POLL)
+            before, position = position, self.read_raw("position_actual")
+            moved = abs(position - before)
+            faster = faster + 1 if moved > _FASTER * slowest + _JITTER else 0
+            if faster >= _FASTER_LOOKS:
+                return
+            slowest = min(slowest, moved)
 
     def close(self) -> None:
         """Stop what is still energised, and let go of the link."""

@@ -16,6 +16,7 @@ __all__ = ["approach"]
 _TOLERANCE = 0.02  # of the travel
 _SPEED = 0.2  # of the speed limit
 _TIME = 20.0  # s
+_STILL = 2.0  # s without any motion
 
 
 def approach(context: Context, goal: float, known: FirstLook) -> Plan[Sample]:
@@ -27,7 +28,8 @@ def approach(context: Context, goal: float, known: FirstLook) -> Plan[Sample]:
     fastest = min(_SPEED * context.speed, 0.5 * known.coulomb / gain + context.travel)
     authority = min(2.5 * known.breakaway, context.torque - abs(known.offset))
     sample = yield known.offset
-    began, previous = sample.time, sample
+    began = moved = sample.time
+    previous = sample
     torque = known.offset
     while True:
         error = goal - sample.position
@@ -42,6 +44,13 @@ def approach(context: Context, goal: float, known: FirstLook) -> Plan[Sample]:
         speed = (sample.position - previous.position) / elapsed if elapsed > 0 else 0.0
         wanted = max(-fastest, min(fastest, bandwidth / 4 * error))
         at_rest = abs(sample.position - previous.position) <= context.resolution
+        if not at_rest:
+            moved = sample.time
+        elif sample.time - moved > _STILL:
+            raise MeasurementRejected(
+                f"the axis stands still, {error:.3g} {context.position_unit} from its start position, with a "
+                f"torque of {torque:.4g} {context.effort_unit} that moved it before: does something block it?"
+            )
         friction = 1.1 * known.breakaway if at_rest else 0.9 * known.coulomb
         push = gain * (wanted - speed) + (friction if error > 0 else -friction)
         torque = known.offset + max(-authority, min(authority, push))

@@ -7,6 +7,7 @@ from math import cos, pi
 
 from commissioning.experiments.plan import Context, Plan
 from drivers.sample import Sample
+from profiles.errors import MeasurementRejected
 
 __all__ = ["TURNS", "TrackingPath", "TrackingSamples", "path_for", "track"]
 
@@ -63,17 +64,27 @@ def track(context: Context, path: TrackingPath) -> Plan[TrackingSamples]:
     turn = [start + path.amplitude * (1 - cos(2 * pi * n / count)) for n in range(1, count + 1)]
     out = [start + path.creep * n / way for n in range(1, way + 1)]
     back = [start + path.creep * (1 - n / way) for n in range(1, way + 1)]
-    yield from _follow(turn)  # the first turn is not looked at
+
+    def follow(positions: list[float]) -> Plan[list[Sample]]:
+        return _follow(context, positions, path.amplitude)
+
+    yield from follow(turn)  # the first turn is not looked at
     return TrackingSamples(
-        reversals=(yield from _follow(TURNS * turn)),
-        creep=(yield from _follow(out + back)),
-        rest=(yield from _follow(round(_REST_TIME / context.cycle) * [start])),
+        reversals=(yield from follow(TURNS * turn)),
+        creep=(yield from follow(out + back)),
+        rest=(yield from follow(round(_REST_TIME / context.cycle) * [start])),
     )
 
 
-def _follow(positions: list[float]) -> Plan[list[Sample]]:
+def _follow(context: Context, positions: list[float], most: float) -> Plan[list[Sample]]:
+    """Command one position a cycle; raises MeasurementRejected where the axis is `most` off."""
     samples = []
     for position in positions:
         sample = yield position
         samples.append(sample)
+        if abs(sample.position - position) > most:
+            raise MeasurementRejected(
+                f"the axis does not follow: it is {sample.position - position:+.3g} {context.position_unit} "
+                "from where it should be; is it blocked, or its encoder?"
+            )
     return samples

@@ -180,7 +180,7 @@ class Measurement:
         self.recorder.phase("does the axis stay at rest?")
         self._run(stand(self.context), rest)
         prove_watchdog(
-            self.drive, rest, self.desk.interruption, self.recorder.phase,
+            self.drive, rest, self.limits.travel, self.desk.interruption, self.recorder.phase,
             without=self.options.without_watchdog,
         )  # fmt: skip
         first = min(self.context.speed, first_speed(self.drive, self.limits))

@@ -29,6 +29,7 @@ _LOOK, _LOOKS = 0.05, 20  # s; it may still settle from what was before
 _CYCLES_A_WATCHDOG = 3
 _FEWEST_COUNTS = 500  # of travel
 _PROOF_CYCLES = 5
+_STAYS = 0.05  # of the travel, in the proof
 _DRIVE_SPEED = 1.2  # of our limit: what the drive is told
 _LONGEST_DEAD_TIME, _CYCLES_TO_STOP = 0.03, 6  # s, cycles
 
@@ -218,14 +219,15 @@ def check_watchdog(drive: Drive, *, without: bool) -> None:
 def prove_watchdog(
     drive: Drive,
     rest: float,
+    travel: float,
     interruption: Interruption,
     tell: Callable[[str], None],
     *,
     without: bool,
 ) -> None:
-    """Enable with the rest torque, fall silent, and see the drive stop by itself.
+    """Enable with the rest torque, fall silent, and see the drive stop by itself, and the axis stay.
 
-    Raises PreflightRefused when it does not, or when the drive has no watchdog and `without` is not
+    Raises PreflightRefused when they do not, or when the drive has no watchdog and `without` is not
     set.
     """
     watchdog = drive.profile.watchdog
@@ -239,6 +241,7 @@ def prove_watchdog(
     tell(f"proof of the watchdog: silence for {3 * watchdog.timeout * 1000:.0f} ms")
     with interruption.deferred():
         try:
+            begin = drive.read("position_actual")
             drive.enable(Mode.TORQUE, rest)
             for _ in range(_PROOF_CYCLES):
                 if not drive.exchange(rest).status.enabled:
@@ -262,3 +265,9 @@ def prove_watchdog(
             )
         if drive.in_fault():
             drive.reset_fault()
+        moved = drive.read("position_actual") - begin
+        if abs(moved) > _STAYS * travel:
+            raise PreflightRefused(
+                f"the axis, or its encoder, moved by {moved:+.3g} (of ±{travel:.4g} that are allowed) while "
+                "the watchdog was proved with the torque that holds it: find out why first"
+            )

@@ -196,7 +196,10 @@ def _raise(job: Measurement, result: dict[str, Any]) -> tuple[list[_Step], _Step
     desk, drive, friction = job.desk, job.drive, result["friction"]
     offset = friction["offset"]["value"] or 0.0
     rest = offset if job.axis.mechanics.held_by != "friction" else 0.0
-    prove_watchdog(drive, rest, desk.interruption, desk.tell, without=job.options.without_watchdog)
+    prove_watchdog(
+        drive, rest, job.limits.travel, desk.interruption, desk.tell,
+        without=job.options.without_watchdog,
+    )  # fmt: skip
     path = path_for(job.context, friction["coulomb"]["value"], friction["inertia"]["value"])
     new = {item["parameter"]: int(item["new_raw"]) for item in result["compensation"]}
     asked = desk.journal.run(job.settings.run).context.get("fraction", job.options.fraction)

@@ -130,6 +130,8 @@ class CanopenBus:
     def write(self, address: Address, raw: int) -> None:
         """Write a raw value by SDO; raises LinkError, AccessDenied."""
         at = _canopen(address)
+        if self._running:
+            self._beat()  # the drive watches from the first one on: before it is enabled, not after
         self._wire.download(at.index, at.sub, struct.pack("<" + _CODE[at.type], raw))
 
     def post(self, address: Address, raw: int) -> None:
@@ -176,6 +178,7 @@ class CanopenBus:
         self._wire.restarted = False
         self._wire.heard_at = perf_counter()
         self._running = True
+        self._heartbeat_due = -1.0
 
     def changes(self) -> dict[str, tuple[int, int]]:
         """PDO parameters and heartbeat time that `start` changes: what is there, and what will be."""
@@ -331,9 +334,7 @@ class CanopenBus:
         while True:
             wire.send(self._rpdo.cob_id, payload)
             sent = pace.now()
-            if self._heartbeat is not None and sent >= self._heartbeat_due:
-                wire.send(self._heartbeat, bytes((_STATE_OPERATIONAL,)))
-                self._heartbeat_due = sent + self._heartbeat_every
+            self._beat()
             if wire.awaits_sync:
                 self._supervise()
                 wire.await_sync(self._deadline)
@@ -356,6 +357,13 @@ class CanopenBus:
                     f"no TPDO from node {wire.node} for {lost} cycles of "
                     f"{self.cycle * 1000:g} ms: the link is lost{self._last_word()}"
                 )
+
+    def _beat(self) -> None:
+        """Our heartbeat, where the drive watches it and it is due."""
+        now = self._pace.now()
+        if self._heartbeat is not None and now >= self._heartbeat_due:
+            self._wire.send(self._heartbeat, bytes((_STATE_OPERATIONAL,)))
+            self._heartbeat_due = now + self._heartbeat_every
 
     def _last_word(self) -> str:
         """What the node or the adapter said last, as far as it explains a silence."""

@@ -29,6 +29,8 @@ _HALF_TURN_OF_I32 = 1 << 31  # a 32-bit position counter rolls over
 _SUPERVISION = 1_000_000  # ns: how often the limits are looked at where no loop is closed
 _NEVER = 1 << 62
 _STORE_TIME = 20_000_000  # ns: the EEPROM is busy
+_LONGEST_STOP = SECOND  # ns: then the energy goes anyway
+_OVERSPEED = 1.5  # of the motor's speed: then it goes at once
 _BRAKE_RELEASE = 50_000_000  # ns
 _BRAKE_APPLY = 50_000_000  # ns
 _TENTH_RPM = 2 * pi / 600  # rad/s
@@ -42,6 +44,7 @@ ERROR_COMMUNICATION = 0x8100
 ERROR_HEARTBEAT = 0x8130
 ERROR_PDO_TIMEOUT = 0x8250
 ERROR_FOLLOWING = 0x8611
+ERROR_OVERSPEED = 0x8400
 
 
 class State(Enum):
@@ -127,6 +130,7 @@ class Firmware:
         self._position_step = 0.0
         self._position_command = 0.0
         self._arrived_at = 0
+        self._stop_by = _NEVER
 
     def _recall(self) -> None:
         """Take the non-volatile values from memory."""
@@ -356,6 +360,7 @@ class Firmware:
         self._queue.clear()
         self._timer = _NEVER
         self._tick_at = self.now
+        self._stop_by = self.now + _LONGEST_STOP
         self._stopping.reset(0.0)
 
     def _at_standstill(self) -> None:
@@ -369,15 +374,16 @@ class Firmware:
             self._power_off(self._after_stop)
 
     def _power_off(self, state: State) -> None:
-        was_loose = self._energised and not self.plant.locked
+        was_energised = self._energised
         self.state = state
         self._energised = False
         self._queue.clear()
         self._requested = self._torque_command = self._ramped = 0.0
         self._limiting = False
-        self._timer = _NEVER
-        if self.axis.brake and was_loose:
-            self._start_timer(_BRAKE_APPLY, self._close_brake)
+        if was_energised:  # else the brake is closing, or closed
+            self._timer = _NEVER
+            if self.axis.brake and not self.plant.locked:
+                self._start_timer(_BRAKE_APPLY, self._close_brake)
 
     def _close_brake(self) -> None:
         self.plant.locked = True
@@ -479,6 +485,9 @@ class Firmware:
                 self._on_timer()
             if watchdog and self._energised and self.now - self._fed >= watchdog:
                 self.communication_lost(self.silence_code)
+            if self._energised and abs(self.plant.velocity) > _OVERSPEED * self.axis.speed:
+                self._report(ERROR_OVERSPEED)
+                self._power_off(State.FAULT)
             if self.now >= end:
                 return
 
@@ -544,6 +553,9 @@ class Firmware:
         self._limiting = self._limiting or along < direction * self._requested
 
     def _tick_stop(self) -> None:
+        if self.now >= self._stop_by:  # it brakes in vain
+            self._power_off(self._after_stop)
+            return
         if abs(self.plant.velocity) <= _REST_SPEED_SHARE * self.axis.speed:
             self._at_standstill()
             if not self._energised:

@@ -16,9 +16,9 @@ def sample(time: float, position: float, command: float = 0.0, torque: float = 0
     return Sample(time, position, torque, command, time, OK, 0.0, 0)
 
 
-def watch(**changes: object) -> Watch:
+def watch(at: float = 1.0, **changes: object) -> Watch:
     base = {"centre": 1.0, "travel": 0.5, "speed": 10.0, "torque": 0.8, "duration": 60.0}
-    return Envelope(**{**base, **changes}).watch()
+    return Envelope(**{**base, **changes}).watch(at)
 
 
 def test_stopping_distance_by_the_formula_with_numbers() -> None:
@@ -38,7 +38,7 @@ def test_the_stopping_distance_counts_towards_the_travel() -> None:
 
 
 def test_moving_back_counts_from_the_other_end() -> None:
-    w = watch(stopping=Stopping(1e-3, 0.1, 0.2, 0.01), relay_torque=0.4, travel=0.3)
+    w = watch(1.25, stopping=Stopping(1e-3, 0.1, 0.2, 0.01), relay_torque=0.4, travel=0.3)
     w.check(sample(0.00, 1.25))
     w.check(sample(0.01, 1.20))  # 5 rad/s inwards: stops 0.025 beyond the centre
     with pytest.raises(EnvelopeTripped, match="travel"):
@@ -58,6 +58,11 @@ def test_each_limit_trips_with_numbers_and_units(second: Sample, message: str) -
     w.check(sample(0.0, 1.0))
     with pytest.raises(EnvelopeTripped, match=message):
         w.check(second)
+
+
+def test_an_axis_that_is_elsewhere_after_it_was_enabled_is_stopped() -> None:
+    with pytest.raises(EnvelopeTripped, match=r"moved by \+0\.03 rad while the drive was enabled"):
+        watch().check(sample(0.0, 1.03))  # more than 5 % of 0.5
 
 
 def test_a_torque_command_above_the_limit_is_not_sent() -> None:

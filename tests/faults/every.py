@@ -31,18 +31,22 @@ _A_CORE = 3  # workers: a broken wire is mostly waited for
 def _held(chunk: Chunk) -> tuple[str, list[Case], list[str]]:
     """What did not hold, case by case, on a drive of this worker's own."""
     wire, whole, cases = chunk
-    failures = []
-    with tempfile.TemporaryDirectory() as home, served(wire) as links:
-        rig = Rig(links, wire, Path(home), whole=whole)
-        for at, way in cases:
-            try:
-                rig.case(at, way)
-            except Exception as error:
-                text = (str(error) or type(error).__name__).splitlines()[0]
-                failures.append(f"{wire}, transaction {at}, {way}: {text}")
-                rig.close()
-                rig = Rig(links, wire, Path(tempfile.mkdtemp(dir=home)), whole=whole)
-        rig.close()
+    failures: list[str] = []
+    left = list(cases)
+    while left:
+        with (
+            tempfile.TemporaryDirectory() as home,
+            served(wire) as links,
+            contextlib.closing(Rig(links, wire, Path(home), whole=whole)) as rig,
+        ):
+            while left:
+                at, way = left.pop(0)
+                try:
+                    rig.case(at, way)
+                except Exception as error:
+                    text = (str(error) or type(error).__name__).splitlines()[0]
+                    failures.append(f"{wire}, transaction {at}, {way}: {text}")
+                    break  # to a fresh drive
     return wire, cases, failures
 
 

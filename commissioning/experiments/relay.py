@@ -69,7 +69,7 @@ class Relay:
     def hysteresis_of(self, half_swing: float, period: float) -> float:
         """ε of this relay at a limit cycle, A·sin(ωτ) for a delay (4.24), rad or m."""
         if self.switching == "hysteresis":
-            return self.knob
+            return min(self.knob, half_swing)  # it looks ahead, and may switch short of its knob
         return half_swing * sin(2 * pi / period * self.knob)
 
     def switch(self, sample: Sample) -> float:

@@ -30,6 +30,7 @@ from commissioning.session.preflight import (
     first_speed,
     prove_watchdog,
     set_limits,
+    still_moving,
     widen_speed,
 )
 from commissioning.settings import Settings
@@ -354,6 +355,9 @@ class Measurement:
     def _prove_stop(self, known: FirstLook) -> Stopping:
         """Set the axis in motion, stop it by the stop path, and see what braking is certain."""
         position, speed = self._run(run_up(self.context, known), known.offset, leave_moving=True)
+        still_moving(
+            self.drive
+        )  # a drive calls standstill what is slow to it; the axis may coast on
         distance = abs(self.drive.read("position_actual") - position)
         delay = known.dead_time + self.drive.cycle
         counted = max(distance - speed * delay, 0.25 * distance, 1e-12)

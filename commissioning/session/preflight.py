@@ -21,6 +21,7 @@ __all__ = [
     "look",
     "prove_watchdog",
     "set_limits",
+    "still_moving",
     "writes",
 ]
 
@@ -89,7 +90,7 @@ def look(drive: Drive, axis: Axis) -> None:
                 f"this drive's compensation acts in torque mode too, and {', '.join(active)} is not "
                 "zero: the friction would be measured less what is compensated; set it to zero first"
             )
-    moved = _moved(drive)
+    moved = still_moving(drive)
     if moved:
         raise PreflightRefused(
             f"the axis moves by itself: {moved:.3g} {axis.position_unit} in {_LOOK:g} s; bring it "
@@ -97,7 +98,7 @@ def look(drive: Drive, axis: Axis) -> None:
         )
 
 
-def _moved(drive: Drive) -> float:
+def still_moving(drive: Drive) -> float:
     """How far the axis moves by itself in a moment, rad or m; 0 as soon as it is at rest."""
     step = drive.scaling.step(drive.profile.parameters["position_actual"])
     for _ in range(_LOOKS):

@@ -7,6 +7,7 @@ import multiprocessing
 import random
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from drivers.virtual.firmware import Firmware
 __all__ = ["Outcome", "one"]
 
 _DRIVE_SPEED = 1.2  # of the speed limit: what the drive itself holds
+_LIMITER = 1.25e-3  # s that the drive's own limiter takes: supervision and one period of its loop
 _LET_REST = 3_000_000_000  # ns after the job
 _ALLOWED = {0, 2, 3, 5, 6}
 
@@ -35,6 +37,7 @@ class Outcome:
     code : exit code
     travel, speed, torque : largest, in shares of the limit
     energised : after the end
+    gained : speed that the axis gains before the drive's own limiter acts, likewise
     """
 
     link: str
@@ -43,6 +46,12 @@ class Outcome:
     speed: float
     torque: float
     energised: bool
+    gained: float
+
+    @property
+    def gained_it(self) -> bool:
+        """Whether it was faster than the drive holds, for as long as the drive takes to hold it."""
+        return self.speed > _DRIVE_SPEED + 0.02  # between two looks of the drive
 
     @property
     def held(self) -> bool:
@@ -50,13 +59,13 @@ class Outcome:
         return (
             self.code in _ALLOWED
             and self.travel <= 1.0
-            and self.speed <= _DRIVE_SPEED + 0.02  # between two looks of the drive
+            and (not self.gained_it or self.speed <= _DRIVE_SPEED + 0.02 + self.gained)
             and self.torque <= 1.0 + 1e-6
             and not self.energised
         )
 
 
-def _drawn(seed: int) -> tuple[str, Options]:
+def _drawn(seed: int) -> tuple[str, Options, Callable[[float], float]]:
     """An axis of any kind, and limits that need not suit it."""
     draw = random.Random(seed)
 
@@ -64,9 +73,11 @@ def _drawn(seed: int) -> tuple[str, Options]:
         return math.exp(draw.uniform(math.log(low), math.log(high)))
 
     coulomb = log(0.005, 0.6)
+    inertia, viscous = log(2e-5, 5e-2), log(1e-5, 2e-2)
+    breakaway = coulomb * draw.choice((1.0, 1.0, 1.3, 2.0))
     options = {
-        "inertia": log(2e-5, 5e-2), "viscous": log(1e-5, 2e-2), "coulomb": coulomb,
-        "breakaway": coulomb * draw.choice((1.0, 1.0, 1.3, 2.0)), "delay": log(2e-4, 2e-2),
+        "inertia": inertia, "viscous": viscous, "coulomb": coulomb, "breakaway": breakaway,
+        "delay": log(2e-4, 2e-2),
         "load": draw.choice((0.0, 0.0, draw.uniform(-0.9, 0.9) * coulomb)),
         "lag": draw.choice((0.0, log(2e-4, 5e-3))), "seed": seed,
         "jitter": draw.choice((0.0, 0.0, 0.05)), "loss": draw.choice((0.0, 0.0, 0.02)),
@@ -74,13 +85,14 @@ def _drawn(seed: int) -> tuple[str, Options]:
     link = "virtual://bench?" + "&".join(
         f"{k}={v:.6g}" if isinstance(v, float) else f"{k}={v}" for k, v in options.items()
     )
-    return link, Options(
+    chosen = Options(
         travel=log(0.02, 50.0),
         max_torque=min(log(0.3, 20.0) * coulomb, 2.9),
         max_speed=log(1.0, 300.0),
         cycle=draw.choice((0.001, 0.002, 0.005, 0.01)),
         method=draw.choice(("modulating", "lock-in", "two-relay")),
     )
+    return link, chosen, lambda torque: (max(torque, breakaway) - coulomb) / inertia * _LIMITER
 
 
 class _Watched:
@@ -115,7 +127,7 @@ class _Watched:
 
 def one(seed: int, home: Path) -> Outcome:
     """One job on the axis that `seed` draws."""
-    link, options = _drawn(seed)
+    link, options, gain = _drawn(seed)
     code = 0
     with _Watched() as watched, Journal(home) as journal:
         desk = Desk(journal, Interruption(), lambda text: None, lambda question, word: True)
@@ -134,6 +146,7 @@ def one(seed: int, home: Path) -> Outcome:
     return Outcome(
         link, code, watched.position / options.travel, watched.speed / options.max_speed,
         (watched.torque - 1e-3) / options.max_torque, energised,
+        gain(watched.torque) / options.max_speed,
     )  # fmt: skip
 
 
@@ -146,7 +159,7 @@ def main() -> int:
     """Run N axes (default 10 000); the last line is `limits: N axes, M held`."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000
     chunks = [list(range(begin, min(begin + 50, count))) for begin in range(0, count, 50)]
-    out, held, done = sys.stdout, 0, 0
+    out, held, done, gained = sys.stdout, 0, 0, 0
     codes: dict[int, int] = {}
     worst = {"travel": 0.0, "speed": 0.0, "torque": 0.0}
     with multiprocessing.get_context("spawn").Pool() as pool:
@@ -154,6 +167,7 @@ def main() -> int:
             for seed, outcome in found:
                 done += 1
                 held += outcome.held
+                gained += outcome.gained_it
                 codes[outcome.code] = codes.get(outcome.code, 0) + 1
                 worst = {n: max(value, getattr(outcome, n)) for n, value in worst.items()}
                 if not outcome.held:
@@ -161,6 +175,9 @@ def main() -> int:
             out.write(f"{done} of {count}\n")
             out.flush()
     shares = ", ".join(f"{name} {100 * value:.1f} %" for name, value in worst.items())
+    out.write(
+        f"faster than the drive holds for less than {_LIMITER * 1000:g} ms at the beginning of a motion: {gained}\n"
+    )
     out.write(f"exit codes {dict(sorted(codes.items()))}; most of a limit: {shares}\n")
     out.write(f"limits: {done} axes, {held} held\n")
     return 0 if held == done else 1

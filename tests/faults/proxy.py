@@ -12,9 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from drivers.link import parse
 from tests.faults.framing import Framing, ModbusRtu, ModbusTcp, Slcan, Socketcand
 
-__all__ = ["NEED_NO_ANSWER", "WIRES", "Proxy", "Way", "Wire"]
+__all__ = ["NEED_NO_ANSWER", "WIRES", "Proxy", "Way", "Wire", "drive_end"]
 
 
 class Way(StrEnum):
@@ -109,6 +110,10 @@ class Proxy:
         """Transactions so far."""
         return len(self.answered)
 
+    def cut(self) -> None:
+        """Silent from now on, both ways."""
+        self._session.silent = True
+
     def close(self) -> None:
         """End, whatever the host does."""
         os.write(self._bell, b"x")
@@ -125,7 +130,8 @@ class Proxy:
                 if host is None:
                     return
                 drive = _open(self._drive, stack)
-                if not _Session(self, host, drive).run():
+                self._session = _Session(self, host, drive)
+                if not self._session.run():
                     return
 
     def _host(self, stack: contextlib.ExitStack) -> int | None:
@@ -154,6 +160,14 @@ class Proxy:
         self._client.close()
 
 
+def drive_end(link: str) -> int | str:
+    """Port or path of the drive's end of a wire, from the drive's own link."""
+    place = parse(link).place
+    if "slcan" in place:
+        return place.removeprefix("slcan/").replace("%2F", "/")
+    return int(place.removeprefix("socketcand/").split("/")[0].rpartition(":")[2])
+
+
 def _open(drive: int | str, stack: contextlib.ExitStack) -> int:
     if isinstance(drive, str):
         descriptor = os.open(drive, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
@@ -174,7 +188,7 @@ class _Session:
         self._begun = {host: b"", drive: b""}
         self._breaks: Way | None = None  # the next answer
         self._kept = b""
-        self._silent = False
+        self.silent = False
 
     def run(self) -> bool:
         """Until the host goes; False: the proxy ends."""
@@ -205,17 +219,17 @@ class _Session:
             if len(proxy.answered) - 1 == proxy._at:
                 if way is Way.RESET:
                     return False
-                self._silent = way is Way.SILENT
+                self.silent = way is Way.SILENT
                 if way is Way.LOST_REQUEST:
                     return True
                 self._breaks = way
-        if not self._silent:
+        if not self.silent:
             _write(self._drive, message)
         return True
 
     def _from_drive(self, message: bytes) -> None:
         way, self._breaks = self._breaks, None
-        if self._silent or way is Way.LOST_ANSWER:
+        if self.silent or way is Way.LOST_ANSWER:
             return
         if way is Way.LATE:
             self._kept = message

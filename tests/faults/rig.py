@@ -17,7 +17,7 @@ from commissioning.session.identify import identify
 from commissioning.session.measurement import Measurement
 from drivers.link import open_can, open_drive, parse
 from profiles.axis import Axis
-from tests.faults.proxy import NEED_NO_ANSWER, WIRES, Proxy, Way
+from tests.faults.proxy import NEED_NO_ANSWER, WIRES, Proxy, Way, drive_end
 
 __all__ = ["Rig", "ways"]
 
@@ -113,16 +113,9 @@ class Rig:
         finally:
             wire.close()
 
-    def _drive_end(self) -> int | str:
-        """Port or path of the drive's end of the wire."""
-        link = parse(self.direct)
-        if "slcan" in link.place:
-            return link.place.removeprefix("slcan/").replace("%2F", "/")
-        return int(link.place.removeprefix("socketcand/").split("/")[0].rpartition(":")[2])
-
     def case(self, at: int | None, way: Way) -> tuple[list[bool], int]:
         """One job; returns (answered, exit code), after everything that must hold was checked."""
-        proxy = Proxy(self.wire, self._drive_end(), at, way)
+        proxy = Proxy(self.wire, drive_end(self.direct), at, way)
         link = f"{self.wire.link.format(proxy.place)}&clock=step&timeout={_PATIENCE}"
         axis = Axis(link=link, profile=self.wire.profile, travel=_TRAVEL)
         options = Options(

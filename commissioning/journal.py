@@ -24,6 +24,7 @@ State = Literal["intended", "verified", "restored"]
 
 _TRIES, _PAUSE = 200, 0.05  # s: until another process has opened the file
 _SCHEMA_VERSION = 1
+_STORING = "storing"
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS runs (
     id TEXT PRIMARY KEY, created REAL NOT NULL, axis TEXT NOT NULL, link TEXT NOT NULL,
@@ -195,6 +196,18 @@ class Journal:
                 "SELECT text FROM events WHERE run=? ORDER BY seq DESC LIMIT 1", (run,)
             ).fetchone()
         return row is not None and row["text"] == text
+
+    def storing(self, run: str) -> int:
+        """Say that the drive of `run` will store; return how often it has before, by this journal."""
+        with self._errors():
+            row = self._db.execute(
+                "SELECT COUNT(*) FROM events JOIN runs ON events.run = runs.id "
+                "JOIN runs AS this ON this.id=? WHERE events.text=? AND runs.serial = this.serial "
+                "AND (runs.serial NOT IN ('', '0x00000000') OR runs.link = this.link)",
+                (run, _STORING),
+            ).fetchone()
+        self.note(run, _STORING)
+        return int(row[0])
 
     # -- intents ---------------------------------------------------------------------------------
 

@@ -473,9 +473,10 @@ class Watchdog(_Strict):
 
 
 class Store(_Strict):
-    """How parameters are made non-volatile."""
+    """How parameters are made non-volatile, and how often the memory takes it."""
 
     steps: tuple[Step, ...]
+    endurance: Annotated[int, Field(gt=0)] = 100_000
 
 
 class CompensationLaw(StrEnum):

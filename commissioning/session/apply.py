@@ -211,13 +211,29 @@ def store(drive: Drive, desk: Desk, run_id: str, wanted: dict[str, int]) -> None
             f"profile '{drive.profile.name}' has no store procedure: the values are lost at power-off"
         )
         return
-    drive.store()
-    desk.journal.note(run_id, STORED)
+    count = _store(drive, desk, run_id, STORED)
     for name, raw in wanted.items():
         there = drive.read_raw(name)
         if there != raw:
             raise WriteFailed(f"'{name}' reads {there} after the store, not {raw}")
-    desk.tell("stored in the drive's non-volatile memory, read back again")
+    desk.tell(
+        f"stored in the drive's non-volatile memory, read back again (store {count} of this drive from here; "
+        f"such a memory takes about {drive.profile.store.endurance})"
+    )
+
+
+def _store(drive: Drive, desk: Desk, run_id: str, text: str) -> int:
+    """Store, and note it as `text`; returns how often this drive has stored; raises WriteFailed."""
+    assert drive.profile.store is not None
+    before, most = desk.journal.storing(run_id), drive.profile.store.endurance
+    if before >= most:
+        raise WriteFailed(
+            f"this drive has stored {before} times from here, and its memory takes about {most}: the values "
+            "are in effect, and not stored; store them with the maker's software if its memory is new"
+        )
+    drive.store()
+    desk.journal.note(run_id, text)
+    return before + 1
 
 
 def restore(run: str | None, link: str | None, desk: Desk, *, force: bool) -> Restored:
@@ -252,8 +268,8 @@ def restore(run: str | None, link: str | None, desk: Desk, *, force: bool) -> Re
             outcome = put_back(drive, intents, force=force)
             written = any(intent.kind != "experiment" for intent in intents)
             if written and drive.profile.store is not None:
-                drive.store()  # until then the old values are not safe, so the intents stay open
-                desk.journal.note(run_id, "restored and stored")
+                # until then the old values are not safe, so the intents stay open
+                _store(drive, desk, run_id, "restored and stored")
             settle(desk.journal, intents, outcome)
     if not outcome.complete:
         raise WriteFailed(f"restore of run {run_id} is incomplete: {outcome}")

@@ -158,3 +158,19 @@ def test_many_processes_may_open_a_new_journal_at_once(tmp_path: Path) -> None:
     for process in done:
         _, errors = process.communicate(timeout=60)
         assert process.returncode == 0, errors.decode()
+
+
+def test_stores_are_counted_for_each_drive(tmp_path: Path) -> None:
+    with Journal(tmp_path) as journal:
+        mine, other = (
+            journal.begin(
+                axis="x",
+                link="virtual://bench",
+                profile="p",
+                profile_hash="h",
+                serial=serial,
+                context={},
+            )
+            for serial in ("0x1", "0x2")
+        )
+        assert [journal.storing(run) for run in (mine, other, mine, mine)] == [0, 0, 1, 2]

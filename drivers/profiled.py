@@ -44,7 +44,8 @@ _COUNTED_IN_INCREMENTS = {Unit.INCREMENT, Unit.INCREMENT_PER_SECOND}
 _POLL = 0.005  # s between two looks at a state
 _MODE_CHANGE = 2.0  # s
 _BETWEEN_FRAMES = 0.03  # s, for an answer that nobody reads
-_FASTER, _JITTER, _FASTER_LOOKS = 2.0, 20, 3  # of the least motion between two looks, counts, looks
+# a stop that makes it worse: motion between two looks against the first, more (revolutions), looks in a row
+_FASTER, _MUCH, _FASTER_LOOKS = 2.0, 0.02, 3
 _REPEATS = 3  # of frames that nobody confirms
 
 
@@ -68,6 +69,7 @@ class ProfiledDrive:
         self._rest_raw = 0
         self._energised = False
         self.scaling = Scaling(1.0, 1.0, axis.mechanics) if to_stop else self._read_bases(axis)
+        self._much = inf if to_stop else _MUCH * self.scaling.increments_per_revolution
         if not profile.moves:
             return
         self._select(Mode.TORQUE, profile.modes[Mode.TORQUE][0])
@@ -518,17 +520,17 @@ class ProfiledDrive:
 
         An axis that becomes faster is not being stopped: then the energy goes at once.
         """
-        position, slowest, faster = self.read_raw("position_actual"), inf, 0
+        position, most, faster = self.read_raw("position_actual"), inf, 0
         for _ in range(self._looks):
             if not self.is_energised() or hurry():
                 return
             self._bus.wait(_POLL)
             before, position = position, self.read_raw("position_actual")
             moved = abs(position - before)
-            faster = faster + 1 if moved > _FASTER * slowest + _JITTER else 0
+            faster = faster + 1 if moved > most else 0
             if faster >= _FASTER_LOOKS:
                 return
-            slowest = min(slowest, moved)
+            most = min(most, _FASTER * moved + self._much)
 
     def close(self) -> None:
         """Stop what is still energised, and let go of the link."""

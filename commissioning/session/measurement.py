@@ -100,6 +100,7 @@ class Measurement:
         self.solver: Solver = "thesis" if options.solver == "thesis" else "bracket"
         loops = drive.profile.loops
         self.loop_lag = drive.read(loops.lag) if loops and loops.lag else 0.0  # s
+        self._proved = False  # the watchdog, once at least
         self._heat, self._heated = 0.0, 0  # i²t that is left over, and up to which sample
         self.known: FirstLook
         self.stopping: Stopping
@@ -157,6 +158,20 @@ class Measurement:
             if isinstance(error, TwoRelayError):
                 error.args = (f"{error}; {text}",)
 
+    def prove_watchdog(self, rest: float) -> None:
+        """See the drive stop by itself under the torque `rest` (N.m or N) that holds the axis."""
+        tell = (lambda text: None) if self._proved else self.recorder.phase
+        prove_watchdog(
+            self.drive, rest, self.limits.travel, self.desk.interruption, tell,
+            without=self.options.without_watchdog,
+        )  # fmt: skip
+        self._proved = True
+
+    def _move(self, plan: Plan[T], rest: float, *, leave_moving: bool = False) -> T:
+        """Drive a plan that moves the axis: the drive's watchdog is proved first."""
+        self.prove_watchdog(rest)
+        return self._run(plan, rest, leave_moving=leave_moving)
+
     def _run(self, plan: Plan[T], rest: float, *, leave_moving: bool = False) -> T:
         spent = self.recorder.samples[-1].time - self.recorder.samples[0].time if (
             self.recorder.samples
@@ -171,7 +186,7 @@ class Measurement:
         known = self._first_look()
         self.recorder.phase(f"{STEPS} torque steps, both ways")
         begin = len(self.recorder.samples)
-        self._run(torque_steps(self.context, known), known.offset)
+        self._move(torque_steps(self.context, known), known.offset)
         return self._record_of(self.recorder.samples[begin:], self.recorder.samples[begin:])
 
     def _first_look(self) -> FirstLook:
@@ -180,13 +195,9 @@ class Measurement:
         self.context = replace(self.context, rest=rest)
         self.recorder.phase("does the axis stay at rest?")
         self._run(stand(self.context), rest)
-        prove_watchdog(
-            self.drive, rest, self.limits.travel, self.desk.interruption, self.recorder.phase,
-            without=self.options.without_watchdog,
-        )  # fmt: skip
         first = min(self.context.speed, first_speed(self.drive, self.limits))
         cautious = replace(self.context, speed=first)
-        known = self._run(first_look(cautious), rest)
+        known = self._move(first_look(cautious), rest)
         with self.desk.interruption.deferred():
             widen_speed(self.drive, self.settings, self.limits)
         if abs(known.offset) > known.breakaway and self.axis.mechanics.held_by == "friction":
@@ -270,7 +281,7 @@ class Measurement:
 
     def run(self, plan: Plan[T]) -> T:
         """Drive a plan to its end, from and to the torque that balances the axis."""
-        return self._run(plan, self._rest)
+        return self._move(plan, self._rest)
 
     def attempt(self, plan: Plan[T]) -> T:
         """The same for what need not be: a limit that ends it rejects it, once the axis is safe."""
@@ -354,7 +365,7 @@ class Measurement:
 
     def _prove_stop(self, known: FirstLook) -> Stopping:
         """Set the axis in motion, stop it by the stop path, and see what braking is certain."""
-        position, speed = self._run(run_up(self.context, known), known.offset, leave_moving=True)
+        position, speed = self._move(run_up(self.context, known), known.offset, leave_moving=True)
         still_moving(
             self.drive
         )  # a drive calls standstill what is slow to it; the axis may coast on

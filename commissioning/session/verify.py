@@ -16,7 +16,7 @@ from commissioning.runs import resolve
 from commissioning.session.apply import STORED, axis_of_run, store, unverified
 from commissioning.session.desk import Desk, Options, connect, none_unfinished, same_drive
 from commissioning.session.measurement import Measurement
-from commissioning.session.preflight import check_watchdog, choose_limits, look, prove_watchdog
+from commissioning.session.preflight import check_watchdog, choose_limits, look
 from commissioning.settings import Settings
 from drivers.drive import Drive
 from drivers.sample import Sample
@@ -196,10 +196,6 @@ def _raise(job: Measurement, result: dict[str, Any]) -> tuple[list[_Step], _Step
     desk, drive, friction = job.desk, job.drive, result["friction"]
     offset = friction["offset"]["value"] or 0.0
     rest = offset if job.axis.mechanics.held_by != "friction" else 0.0
-    prove_watchdog(
-        drive, rest, job.limits.travel, desk.interruption, desk.tell,
-        without=job.options.without_watchdog,
-    )  # fmt: skip
     path = path_for(job.context, friction["coulomb"]["value"], friction["inertia"]["value"])
     new = {item["parameter"]: int(item["new_raw"]) for item in result["compensation"]}
     asked = desk.journal.run(job.settings.run).context.get("fraction", job.options.fraction)
@@ -218,6 +214,7 @@ def _raise(job: Measurement, result: dict[str, Any]) -> tuple[list[_Step], _Step
         )
         with desk.interruption.deferred():
             _write(job, raw)
+        job.prove_watchdog(rest)
         step = _followed(job, path, fraction, raw)
         steps.append(step)
         desk.tell(_words(step, job.axis.position_unit))

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from typing import Any
 
 import can
+from can.interfaces.socketcand import SocketCanDaemonBus
 from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
@@ -58,7 +59,10 @@ def open_bus(interface: str, channel: str, bitrate: int, timeout: float) -> can.
     elif interface in ("virtual", "socketcan"):
         options = {}
     try:
-        bus = can.Bus(interface=interface, channel=channel, **options)
+        if interface == "socketcand":
+            bus: can.BusABC = _Socketcand(channel=channel, **options)  # type: ignore[no-untyped-call]
+        else:
+            bus = can.Bus(interface=interface, channel=channel, **options)
     except can.CanInterfaceNotImplementedError as error:
         if interface not in can.VALID_INTERFACES:
             known = ", ".join(sorted(can.VALID_INTERFACES))
@@ -74,6 +78,26 @@ def open_bus(interface: str, channel: str, bitrate: int, timeout: float) -> can.
     if interface == "socketcand":
         _untangle_socketcand(bus)
     return bus
+
+
+class _Socketcand(SocketCanDaemonBus):
+    """python-can's client, which takes a frame that comes with the greeting of a busy bus for an error.
+
+    Here such a frame is delivered, with the next one.
+    """
+
+    def _expect_msg(self, message: str) -> None:
+        stream: socket.socket = self._SocketCanDaemonBus__socket  # type: ignore[attr-defined]
+        heard = ""
+        while len(heard) < len(message):
+            more = stream.recv(256).decode("ascii", "replace")
+            if not more:
+                break
+            heard += more
+        if not heard.startswith(message):
+            stream.close()
+            raise can.CanError(f"it says '{heard[:40]}' where '{message}' is expected")
+        self._SocketCanDaemonBus__receive_buffer: str = heard[len(message) :]
 
 
 def _untangle_socketcand(bus: can.BusABC) -> None:
@@ -112,13 +136,13 @@ def _greet(host: str, port: int, timeout: float) -> None:
 
 
 def _first_line(error: Exception) -> str:
-    """Libraries put tracebacks into their messages; people get the first line."""
+    """Libraries put tracebacks into their messages; people get the first line, and the system's reason."""
     lines = str(error).splitlines()
-    return (
-        lines[0].removesuffix("Traceback (most recent call last):").strip()
-        if lines
-        else (type(error).__name__)
-    )
+    if not lines:
+        return type(error).__name__
+    line = lines[0].removesuffix("Traceback (most recent call last):").strip()
+    reason = getattr(error.__cause__, "strerror", None) or str(error.__cause__ or "").strip()
+    return f"{line} ({reason})" if reason and reason not in line else line
 
 
 def _waitable(bus: can.BusABC) -> int | None:

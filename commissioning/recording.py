@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from profiles.errors import UsageError
+from profiles.files import contents
 
 __all__ = ["Column", "Recording", "Table", "column_of", "read", "table_of"]
 
@@ -123,11 +124,7 @@ def column_of(text: str | None, quantity: str, scalars: dict[str, float]) -> Col
 def table_of(path: Path) -> Table:
     """Read a file as a table; raises UsageError."""
     try:
-        if not path.is_file():
-            raise UsageError(f"{path}: cannot be read: it is no file")
-        if path.stat().st_size > _LARGEST:
-            raise UsageError(f"{path}: larger than {_LARGEST // 1_000_000} MB; cut the recording")
-        data = path.read_bytes()
+        data = contents(path, _LARGEST)
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
     if path.suffix.lower() == ".mat":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import os
 import re
 import shutil
@@ -20,12 +21,13 @@ from commissioning.runner import Recorder
 from drivers.sample import Sample
 from profiles.dcf import dcf
 from profiles.errors import JournalError, UnknownName, UsageError
+from profiles.files import contents
 from profiles.library import load_profile
 
 __all__ = ["RunFolder", "Samples", "resolve"]
 
 _COLUMNS = ("time", "position", "torque", "command", "sent", "lateness", "missed")
-_LARGEST_JSON, _LARGEST_SAMPLES = 20_000_000, 1_000_000_000  # bytes
+_LARGEST_JSON, _LARGEST_SAMPLES = 20_000_000, 500_000_000  # bytes
 
 
 class Samples:
@@ -95,11 +97,11 @@ class RunFolder:
         """The result JSON; raises UsageError."""
         path = self.path / "run.json"
         try:
-            if path.stat().st_size > _LARGEST_JSON:
-                raise UsageError(f"{path}: too large for a run")
-            found = json.loads(path.read_text("utf-8"))
-        except OSError:
+            found = json.loads(contents(path, _LARGEST_JSON))
+        except FileNotFoundError:
             raise UsageError(f"{self.path} holds no run (run.json is missing)") from None
+        except OSError as error:
+            raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
         except (ValueError, RecursionError) as error:
             raise UsageError(f"{path}: is no JSON: {error}") from None
         if not isinstance(found, dict) or found.get("schema") != "tworelay.run/1":
@@ -113,13 +115,25 @@ class RunFolder:
         if not path.exists():
             return None
         try:
-            with zipfile.ZipFile(path) as packed:
+            data = io.BytesIO(contents(path, _LARGEST_SAMPLES))
+            with zipfile.ZipFile(data) as packed:
                 if sum(item.file_size for item in packed.infolist()) > _LARGEST_SAMPLES:
                     raise UsageError(f"{path}: too large for samples")
-            with np.load(path, allow_pickle=False) as archive:
+                for item in packed.infolist():
+                    _check_array(packed, item)
+            data.seek(0)
+            with np.load(data, allow_pickle=False) as archive:
                 columns = {name: np.asarray(archive[name], float) for name in _COLUMNS}
                 phases = [(int(n), str(text)) for n, text in json.loads(str(archive["phases"]))]
-        except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile) as error:
+        except (
+            OSError,
+            ValueError,
+            KeyError,
+            EOFError,
+            TypeError,
+            MemoryError,
+            zipfile.BadZipFile,
+        ) as error:
             raise UsageError(f"{path}: cannot be read as samples: {error}") from None
         return Samples(columns, phases)
 
@@ -166,6 +180,16 @@ class RunFolder:
         return dcf(profile, changed, int(node[1]) if node else profile.link.node)
 
 
+def _check_array(packed: zipfile.ZipFile, item: zipfile.ZipInfo) -> None:
+    """Raise ValueError where an array is said to be larger than what there is of it."""
+    with packed.open(item) as member:
+        if np.lib.format.read_magic(member) != (1, 0):
+            raise ValueError(f"{item.filename} is no array of samples")
+        shape, _, kind = np.lib.format.read_array_header_1_0(member)
+    if math.prod(shape) * kind.itemsize > item.file_size:
+        raise ValueError(f"{item.filename} is cut off")
+
+
 _RESULT_KEYS: dict[str, type | tuple[type, ...]] = {
     "status": str, "axis": str, "units": dict, "friction": dict, "methods": dict,
     "compensation": list, "tuning": list, "quality": dict,
@@ -206,9 +230,7 @@ def resolve(journal: Journal, run: str) -> tuple[str, RunFolder]:
     if _is_folder(path) and (path / "run.json").exists():
         origin = path / "journal.json"
         try:
-            if origin.stat().st_size > _LARGEST_JSON:
-                raise UsageError(f"{origin}: too large for a journal")
-            tree = json.loads(origin.read_text("utf-8"))
+            tree = json.loads(contents(origin, _LARGEST_JSON))
         except (OSError, ValueError, RecursionError) as error:
             raise UsageError(f"{origin}: cannot be read: {error}") from None
         return journal.adopt(tree, str(origin)), RunFolder(path)

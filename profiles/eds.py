@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from profiles.errors import ProfileError
+from profiles.files import contents
 
 __all__ = ["DATA_TYPES", "Eds", "Entry", "Mended", "read_eds"]
 
@@ -234,9 +235,7 @@ class _Reader:
 def read_eds(path: Path) -> Eds:
     """Read an EDS or DCF file; raises ProfileError for what is none."""
     try:
-        if path.stat().st_size > _LARGEST:
-            raise ProfileError(f"{path}: larger than {_LARGEST} bytes: this is no EDS")
-        data = path.read_bytes()
+        data = contents(path, _LARGEST)
     except OSError as error:
         raise ProfileError(f"{path}: cannot be read: {error.strerror or error}") from None
     return parse_eds(data, str(path))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from profiles.errors import IdentityMismatch, ProfileError, UnknownName
+from profiles.files import contents
 from profiles.schema import Identity, MailboxAddress, ModbusAddress, Profile
 from profiles.toml_files import parse_model, parse_tree, read_text, validated
 
@@ -232,10 +233,10 @@ def _drafted(eds: Eds, origin: str) -> Draft:
 
 def draft_from_csv(path: Path) -> Draft:
     """A profile of the drive whose registers a table lists; raises ProfileError."""
-    from profiles.table import read_csv
+    from profiles.table import LARGEST, read_csv
 
     try:
-        data = path.read_bytes()
+        data = contents(path, LARGEST)
     except OSError as error:
         raise ProfileError(f"{path}: cannot be read: {error.strerror or error}") from None
     return draft_from_table(read_csv(data, path.name), path.stem, path.name)

@@ -54,7 +54,7 @@ NAMES = {  # what tworelay asks of a drive: unit, protection, and what it is
 _CIA402 = ("controlword", "statusword", "mode_of_operation", "mode_display")
 _MODICON = 40001
 _GAP = 8  # foreign registers that are read along
-_BYTES = 1_000_000
+LARGEST = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class Row:
 
 def read_csv(data: bytes, origin: str) -> list[Row]:
     """Rows of a register table; raises ProfileError."""
-    if len(data) > _BYTES or b"\0" in data:
+    if len(data) > LARGEST or b"\0" in data:
         raise ProfileError(f"{origin}: no register table: it is too long, or no text")
     try:
         text = data.decode("utf-8-sig")

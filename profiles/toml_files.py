@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from profiles.errors import ProfileError
+from profiles.files import contents
 
 __all__ = ["load_model", "parse_model", "parse_tree", "read_text", "validated"]
 
@@ -28,11 +29,7 @@ def load_model(path: Path, model: type[M]) -> M:
 def read_text(path: Path) -> str:
     """Text of a TOML file; raises ProfileError."""
     try:
-        if path.stat().st_size > _LARGEST:
-            raise ProfileError(
-                f"{path}: larger than {_LARGEST} bytes: this is no profile and no axis"
-            )
-        return path.read_text("utf-8")
+        return contents(path, _LARGEST).decode("utf-8")
     except OSError as error:
         raise ProfileError(f"{path}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError as error:

@@ -37,6 +37,7 @@ NMT = 0x000
 BOOT_UP = 0x00  # as a heartbeat's state (CiA 301, 7.2.8.3.3)
 _WITH_MULTIPLEXER = (2, 3, 4)  # SDO server: upload and download begin, abort (CiA 301, 7.2.4.3)
 _NO_OBJECT = b"\0\0\0"  # some drives abort so
+_SEGMENT, _LARGEST_OBJECT = 7, 5_000_000  # bytes; the largest object is an EDS (1021h)
 _POST_ANSWER = 0.05  # s that the answer to a posted download may take
 
 Trace = Callable[[bool, int, bytes], None]
@@ -317,8 +318,11 @@ class CanWire:
 
     def upload(self, index: int, sub: int) -> bytes:
         """Read an object; raises NoAnswer, AccessDenied."""
-        with self._translated(index, sub):
-            return bytes(self._sdo.upload(index, sub))
+        with (
+            self._translated(index, sub),
+            self._sdo.open(index, sub, "rb", buffering=0) as stream,  # type: ignore[no-untyped-call]
+        ):
+            return self._whole(stream)
 
     def upload_large(self, index: int, sub: int) -> bytes:
         """Read an object of many bytes, by block transfer where the node knows it; raises as `upload`."""
@@ -330,9 +334,20 @@ class CanWire:
                 ) as stream,
             ):
                 self._sdo.about = b""  # from here on an answer begins with its number
-                return bytes(stream.read())
+                return self._whole(stream)
         except (AccessDenied, NoAnswer):
             return self.upload(index, sub)
+
+    def _whole(self, stream: Any) -> bytes:
+        """All that a node sends of an object; raises LinkError where it does not end."""
+        found = b""
+        while part := stream.read(_SEGMENT):
+            found += part
+            if len(found) > _LARGEST_OBJECT:
+                raise LinkError(
+                    f"node {self.node} sends more than {_LARGEST_OBJECT} bytes of one object: no drive does"
+                )
+        return found
 
     def download(self, index: int, sub: int, data: bytes) -> None:
         """Write an object; raises NoAnswer, AccessDenied."""

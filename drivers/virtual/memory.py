@@ -7,7 +7,11 @@ import json
 import os
 from pathlib import Path
 
+from profiles.files import contents
+
 __all__ = ["Memory"]
+
+_LARGEST = 1_000_000  # bytes
 
 
 class Memory:
@@ -21,7 +25,7 @@ class Memory:
         self._values: dict[str, int] = {}
         if path is not None:
             with contextlib.suppress(OSError, ValueError):
-                found = json.loads(path.read_text("utf-8"))
+                found = json.loads(contents(path, _LARGEST))
                 if isinstance(found, dict):
                     self._values = {
                         str(key): value for key, value in found.items() if type(value) is int

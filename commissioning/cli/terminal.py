@@ -219,7 +219,7 @@ _JOB_OPTIONS = [
     ),
     click.option(
         "--without-watchdog", is_flag=True,
-        help="Move a drive that would not notice a dead link; a watchdog that it has is not proved. Emergency "
+        help="Move a drive that would not notice a dead link; its watchdog, if any, is not proved. Emergency "
         "stop in hand.",
     ),
     click.option("--dry-run", is_flag=True, help="Show every write; write and move nothing."),

@@ -81,7 +81,8 @@ def first_look(context: Context) -> Plan[FirstLook]:
     upper = yield from _ramp(context, +1)
     yield from come_to_rest(context.rest, context)
     lower = yield from _ramp(context, -1)
-    yield from come_to_rest(context.rest, context)
+    at = yield from come_to_rest(context.rest, context)
+    inwards = -1 if at.position > context.start else +1  # with stiction the ramps take it far
     offset, breakaway = (upper + lower) / 2, (upper - lower) / 2
     most = context.torque - abs(offset)
     if most < 1.2 * breakaway:
@@ -93,13 +94,13 @@ def first_look(context: Context) -> Plan[FirstLook]:
     context.tell("short pushes and coasts, both ways")
     pushes = []
     gentle, hard = _PUSHES
-    for direction in (+1, -1):
+    for direction in (inwards, -inwards):
         torque = direction * min(gentle * breakaway, most)
         pushes.append((yield from push(context, offset, torque)))
     # a slow cycle needs as many samples, and meets a higher speed
     fastest = max(push.speed for push in pushes)
     hard = min(hard, 1 + (gentle - 1) * _PUSH_SPEED * context.speed / fastest)
-    for direction in (+1, -1):
+    for direction in (inwards, -inwards):
         torque = direction * min(max(hard, _HARDER * gentle) * breakaway, most)
         pushes.append((yield from push(context, offset, torque)))
     return _evaluate(context, breakaway, offset, pushes)

@@ -186,7 +186,7 @@ class Measurement:
         known = self._first_look()
         self.recorder.phase(f"{STEPS} torque steps, both ways")
         begin = len(self.recorder.samples)
-        self._move(torque_steps(self.context, known), known.offset)
+        self._move(torque_steps(self._cautious(), known), known.offset)
         return self._record_of(self.recorder.samples[begin:], self.recorder.samples[begin:])
 
     def _first_look(self) -> FirstLook:
@@ -195,11 +195,7 @@ class Measurement:
         self.context = replace(self.context, rest=rest)
         self.recorder.phase("does the axis stay at rest?")
         self._run(stand(self.context), rest)
-        first = min(self.context.speed, first_speed(self.drive, self.limits))
-        cautious = replace(self.context, speed=first)
-        known = self._move(first_look(cautious), rest)
-        with self.desk.interruption.deferred():
-            widen_speed(self.drive, self.settings, self.limits)
+        known = self._move(first_look(self._cautious()), rest)
         if abs(known.offset) > known.breakaway and self.axis.mechanics.held_by == "friction":
             e = self.axis.effort_unit
             raise PreflightRefused(
@@ -209,10 +205,18 @@ class Measurement:
             )
         return known
 
+    def _cautious(self) -> Context:
+        """For the motions before the stop path is proved: as slow as the drive's own limit is then."""
+        return replace(
+            self.context, speed=min(self.context.speed, first_speed(self.drive, self.limits))
+        )
+
     def prepare(self) -> None:
         """All that comes before the oscillations: first motions, proof of the stop path, design."""
         self.known = self._first_look()
         self.stopping = self._prove_stop(self.known)
+        with self.desk.interruption.deferred():
+            widen_speed(self.drive, self.settings, self.limits)
         self._rest = self.known.offset
         self.context = replace(self.context, rest=self._rest)
         self._design()
@@ -365,7 +369,9 @@ class Measurement:
 
     def _prove_stop(self, known: FirstLook) -> Stopping:
         """Set the axis in motion, stop it by the stop path, and see what braking is certain."""
-        position, speed = self._move(run_up(self.context, known), known.offset, leave_moving=True)
+        position, speed = self._move(
+            run_up(self._cautious(), known), known.offset, leave_moving=True
+        )
         still_moving(
             self.drive
         )  # a drive calls standstill what is slow to it; the axis may coast on

@@ -182,7 +182,7 @@ def first_speed(drive: Drive, limits: Limits) -> float:
 
 
 def widen_speed(drive: Drive, settings: Settings, limits: Limits) -> None:
-    """From the first motions on the drive may let the axis go as fast as the limit says."""
+    """From the proof of the stop path on the drive may let the axis go as fast as the limit says."""
     name = drive.profile.limits.get("speed")
     if name is not None:
         parameter = drive.profile.parameters[name]

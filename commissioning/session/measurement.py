@@ -27,7 +27,7 @@ from commissioning.session.methods import PACE_IS_LONG, Measured, measure
 from commissioning.session.points import points
 from commissioning.session.preflight import (
     Limits,
-    first_speed,
+    cautious_speed,
     prove_watchdog,
     set_limits,
     still_moving,
@@ -205,18 +205,19 @@ class Measurement:
             )
         return known
 
-    def _cautious(self) -> Context:
+    def _cautious(self, dead_time: float | None = None) -> Context:
         """For the motions before the stop path is proved: as slow as the drive's own limit is then."""
-        return replace(
-            self.context, speed=min(self.context.speed, first_speed(self.drive, self.limits))
-        )
+        return replace(self.context, speed=cautious_speed(self.drive, self.limits, dead_time))
+
+    def _widen(self, speed: float) -> None:
+        with self.desk.interruption.deferred():
+            widen_speed(self.drive, self.settings, speed)
 
     def prepare(self) -> None:
         """All that comes before the oscillations: first motions, proof of the stop path, design."""
         self.known = self._first_look()
         self.stopping = self._prove_stop(self.known)
-        with self.desk.interruption.deferred():
-            widen_speed(self.drive, self.settings, self.limits)
+        self._widen(self.limits.speed)
         self._rest = self.known.offset
         self.context = replace(self.context, rest=self._rest)
         self._design()
@@ -369,12 +370,11 @@ class Measurement:
 
     def _prove_stop(self, known: FirstLook) -> Stopping:
         """Set the axis in motion, stop it by the stop path, and see what braking is certain."""
-        position, speed = self._move(
-            run_up(self._cautious(), known), known.offset, leave_moving=True
-        )
-        still_moving(
-            self.drive
-        )  # a drive calls standstill what is slow to it; the axis may coast on
+        cautious = self._cautious(known.dead_time)
+        self._widen(cautious.speed)
+        position, speed = self._move(run_up(cautious, known), known.offset, leave_moving=True)
+        # a drive calls standstill what is slow to it; the axis may coast on
+        still_moving(self.drive)
         distance = abs(self.drive.read("position_actual") - position)
         delay = known.dead_time + self.drive.cycle
         counted = max(distance - speed * delay, 0.25 * distance, 1e-12)

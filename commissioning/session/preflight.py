@@ -16,6 +16,7 @@ from profiles.schema import Mode
 
 __all__ = [
     "Limits",
+    "cautious_speed",
     "check_watchdog",
     "choose_limits",
     "look",
@@ -32,7 +33,7 @@ _FEWEST_COUNTS = 500  # of travel
 _PROOF_CYCLES = 5
 _STAYS = 0.05  # of the travel, in the proof
 _DRIVE_SPEED = 1.2  # of our limit: what the drive is told
-_LONGEST_DEAD_TIME, _CYCLES_TO_STOP = 0.03, 6  # s, cycles
+_LONGEST_DEAD_TIME, _CYCLES_TO_STOP, _CYCLES_TO_STOP_KNOWN = 0.03, 6, 3  # s, cycles
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +165,7 @@ def writes(drive: Drive, limits: Limits) -> dict[str, int]:
     found = drive.preparations(Mode.TORQUE)
     for kind, value in (
         ("torque", limits.torque),
-        ("speed", _DRIVE_SPEED * min(limits.speed, first_speed(drive, limits))),
+        ("speed", _DRIVE_SPEED * cautious_speed(drive, limits)),
     ):
         name = named.get(kind)  # type: ignore[call-overload]
         if name is not None:
@@ -176,18 +177,23 @@ def writes(drive: Drive, limits: Limits) -> dict[str, int]:
     return found
 
 
-def first_speed(drive: Drive, limits: Limits) -> float:
-    """Speed for the first motions, rad/s or m/s: half the travel, for as long as any stop may take."""
-    return 0.5 * limits.travel / (_LONGEST_DEAD_TIME + _CYCLES_TO_STOP * drive.cycle)
+def cautious_speed(drive: Drive, limits: Limits, dead_time: float | None = None) -> float:
+    """Speed until the stop path is proved, rad/s or m/s: half the travel for as long as a stop may take.
+
+    `dead_time` : s, once it has been seen
+    """
+    cycles = _CYCLES_TO_STOP if dead_time is None else _CYCLES_TO_STOP_KNOWN
+    slowest = _LONGEST_DEAD_TIME if dead_time is None else dead_time
+    return min(limits.speed, 0.5 * limits.travel / (slowest + cycles * drive.cycle))
 
 
-def widen_speed(drive: Drive, settings: Settings, limits: Limits) -> None:
-    """From the proof of the stop path on the drive may let the axis go as fast as the limit says."""
+def widen_speed(drive: Drive, settings: Settings, speed: float) -> None:
+    """The drive may let the axis go faster than before, as fast as `speed` (rad/s or m/s) says."""
     name = drive.profile.limits.get("speed")
     if name is not None:
         parameter = drive.profile.parameters[name]
         most = settings.oldest(name)
-        raw = drive.scaling.to_raw(parameter, _DRIVE_SPEED * limits.speed)
+        raw = drive.scaling.to_raw(parameter, _DRIVE_SPEED * speed)
         settings.write("experiment", name, max(1, min(raw, most)) if most > 0 else raw)
 
 

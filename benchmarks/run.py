@@ -18,6 +18,7 @@ sys.path.insert(0, str(HERE.parent))
 from benchmarks.accuracy import accuracy  # noqa: E402
 from benchmarks.critical_point import critical_point  # noqa: E402
 from benchmarks.links import WIRES, links, served  # noqa: E402
+from benchmarks.stop_times import stop_times  # noqa: E402
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
@@ -170,6 +171,7 @@ def main() -> None:
         os.environ["TWORELAY_HOME"] = folder
         tables = {
             "wires": wires, "speed": speed, "links": links, "critical_point": critical_point,
+            "stop_times": stop_times,
             "accuracy": accuracy,
         }  # fmt: skip
         for name, table in tables.items():

@@ -196,14 +196,18 @@ class CanopenBus:
 
     def put_back(self, old: dict[str, int]) -> bool:
         """Write back what `changes` named; the cycle ends with it. False: all was as before."""
+        ours = {pdo.communication for pdo in (self._rpdo, self._tpdo)}
         objects: Objects = {}
-        for name, raw in old.items():
+        for name, raw in old.items():  # from a journal, which anybody may have written
             match = _OBJECT.fullmatch(name)
-            if match is None:
-                raise UsageError(
-                    f"'{name}' is no parameter of the profile, and no object of the bus"
-                )
-            objects[int(match[1], 16), int(match[2], 16)] = raw
+            at = (int(match[1], 16), int(match[2], 16)) if match is not None else (0, 0)
+            if not (at == _HEARTBEAT_PRODUCER or at[0] & ~_MAPPING in ours):
+                raise UsageError(f"'{name}' is no parameter of the profile, and none of its PDOs")
+            if not 0 <= raw < 1 << 8 * _size(at):
+                raise UsageError(f"{name}: {raw} does not fit into {_size(at)} bytes")
+            objects[at] = raw
+        for communication in {index & ~_MAPPING for index, _ in objects} & ours:
+            _complete(communication, objects)
         self._running = False
         self._old = {at: raw for at, raw in self._old.items() if at not in objects}
         return self._put_back(objects)
@@ -257,14 +261,7 @@ class CanopenBus:
         return int.from_bytes(self._wire.upload(index, sub)[:4], "little")
 
     def _download(self, at: tuple[int, int], raw: int) -> None:
-        index, sub = at
-        if at == _HEARTBEAT_PRODUCER:
-            size = 2
-        elif sub == 0 or (sub == 2 and not index & _MAPPING):
-            size = 1  # number of entries, transmission type
-        else:
-            size = 4
-        self._wire.download(index, sub, raw.to_bytes(size, "little"))
+        self._wire.download(*at, raw.to_bytes(_size(at), "little"))
 
     def _check_sync(self) -> None:
         """See that SYNC comes as often as the cycle says; raises PreflightRefused."""
@@ -439,6 +436,26 @@ def _agree(there: Objects, wanted: Objects) -> bool:
         there[at] == raw or (at[1] == 1 and not at[0] & _MAPPING and not there[at] & _PDO_OFF)
         for at, raw in wanted.items()
     )
+
+
+def _size(at: tuple[int, int]) -> int:
+    """Bytes of an object (CiA 301, 7.5.2)."""
+    index, sub = at
+    if at == _HEARTBEAT_PRODUCER:
+        return 2
+    if sub == 0 or (sub == 2 and not index & _MAPPING):
+        return 1  # number of entries, transmission type
+    return 4
+
+
+def _complete(communication: int, objects: Objects) -> None:
+    """Raise UsageError where the journal does not hold all of a PDO."""
+    mapping = communication + _MAPPING
+    wanted = [(communication, 1), (communication, 2), (mapping, 0)]
+    wanted += [(mapping, sub) for sub in range(1, objects.get((mapping, 0), 0) + 1)]
+    for at in wanted:
+        if at not in objects:
+            raise UsageError(f"the journal holds only a part of a PDO: {_name(at)} is missing")
 
 
 def _name(at: tuple[int, int]) -> str:

@@ -16,7 +16,7 @@ from drivers.canopen.bus import CanopenBus
 from drivers.canopen.bus_state import BUS_OFF, NO_ACK, PASSIVE, words
 from drivers.canopen.wire import CanWire, NoAnswer, open_bus
 from drivers.pace import WallPace
-from profiles.errors import AccessDenied, LinkLost, TwoRelayError
+from profiles.errors import AccessDenied, LinkLost, TwoRelayError, UsageError
 from profiles.library import load_profile
 
 Frame = tuple[int, str]
@@ -357,3 +357,38 @@ def test_one_garbled_line_does_not_end_the_reception(garbage: bytes) -> None:
         node.close()
         os.close(master)
         os.close(slave)
+
+
+def test_a_pdo_goes_back_off_first_and_on_last() -> None:
+    """CiA 301, 7.5.2.36: a mapping is changed while the PDO is off, and has no entries meanwhile."""
+    bus, peer, _ = running()
+    del peer.sent[:]
+    old = {"1400h:01": 0x205, "1400h:02": 254, "1600h:00": 1, "1600h:01": 0x60400010}
+    assert bus.put_back(old)
+    writes = [text for cob_id, text in peer.sent if cob_id == 0x605 and not text.startswith("40")]
+    assert writes == [
+        "23 00 14 01 05 02 00 80", "2F 00 14 02 FE 00 00 00", "2F 00 16 00 00 00 00 00",
+        "23 00 16 01 10 00 40 60", "2F 00 16 00 01 00 00 00", "23 00 14 01 05 02 00 00",
+    ]  # fmt: skip
+    assert not bus.put_back(old), "all is as before"
+
+
+@pytest.mark.parametrize(
+    ("old", "why"),
+    [
+        ({"6040h:00": 15}, "'6040h:00' is no parameter of the profile, and none of its PDOs"),
+        ({"1010h:01": 0x65766173}, "none of its PDOs"),
+        ({"../1400h:01": 0}, "none of its PDOs"),
+        ({"1017h:00": -1}, "does not fit into 2 bytes"),
+        ({"1400h:02": 256}, "does not fit into 1 bytes"),
+        ({"1400h:01": 0x205}, "only a part of a PDO: 1400h:02 is missing"),
+    ],
+)
+def test_a_journal_that_names_what_it_must_not_changes_nothing(
+    old: dict[str, int], why: str
+) -> None:
+    bus, peer, _ = running()
+    del peer.sent[:]
+    with pytest.raises(UsageError, match=why):
+        bus.put_back(old)
+    assert peer.sent == []

@@ -74,7 +74,8 @@ def _is_zero(frame: tuple[Any, ...]) -> bool:
     (data,) = frame
     pdu = data[7:] if data[2:4] == b"\0\0" else data[1:]  # MBAP, else RTU
     function, register = struct.unpack_from(">BH", pdu)
-    return bool(function in (6, 16) and register == _TORQUE_REGISTER)
+    value = pdu[3:5] if function == 6 else pdu[6:8]
+    return function in (6, 16) and register == _TORQUE_REGISTER and value == b"\0\0"
 
 
 def _plan(stop: _Stop, count: int, end: Callable[[], None]) -> Plan[None]:

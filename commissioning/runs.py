@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,10 @@ from profiles.library import load_profile
 __all__ = ["RunFolder", "Samples", "resolve"]
 
 _COLUMNS = ("time", "position", "torque", "command", "sent", "lateness", "missed")
+_UNREADABLE = (
+    OSError, ValueError, KeyError, EOFError, TypeError, MemoryError, OverflowError, RuntimeError,
+    zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
 _LARGEST_JSON, _LARGEST_SAMPLES = 20_000_000, 500_000_000  # bytes
 
 
@@ -125,15 +130,7 @@ class RunFolder:
             with np.load(data, allow_pickle=False) as archive:
                 columns = {name: np.asarray(archive[name], float) for name in _COLUMNS}
                 phases = [(int(n), str(text)) for n, text in json.loads(str(archive["phases"]))]
-        except (
-            OSError,
-            ValueError,
-            KeyError,
-            EOFError,
-            TypeError,
-            MemoryError,
-            zipfile.BadZipFile,
-        ) as error:
+        except _UNREADABLE as error:
             raise UsageError(f"{path}: cannot be read as samples: {error}") from None
         return Samples(columns, phases)
 
@@ -256,6 +253,12 @@ def _replace(path: Path, content: bytes) -> None:
         file.flush()
         os.fsync(file.fileno())
     fresh.replace(path)
+    if os.name != "nt":  # the new name is to last as well
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
 
 
 def _write_csv(

@@ -140,6 +140,8 @@ class Cia402Power:
             here = cia402.state(word)
             if here in goals:
                 return
+            if enabled and cia402.status(word).fault:
+                raise DriveFault(f"the drive went into fault while enabling: {self._describe()}")
             height = _WAY_UP.index(here) if here in _WAY_UP else 0
             if enabled and height < reached:
                 raise DriveFault(
@@ -147,8 +149,6 @@ class Cia402Power:
                     f"input?): {self._describe()}; it is not tried again"
                 )
             reached = height
-            if enabled and cia402.status(word).fault:
-                raise DriveFault(f"the drive went into fault while enabling: {self._describe()}")
             step = cia402.next_controlword(word, enabled=enabled)
             if step is not None and sent != (here, step):
                 if at is not None:

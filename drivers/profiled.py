@@ -44,8 +44,9 @@ _COUNTED_IN_INCREMENTS = {Unit.INCREMENT, Unit.INCREMENT_PER_SECOND}
 _POLL = 0.005  # s between two looks at a state
 _MODE_CHANGE = 2.0  # s
 _BETWEEN_FRAMES = 0.03  # s, for an answer that nobody reads
-# a stop that makes it worse: motion between two looks against the first, more (revolutions), looks in a row
-_FASTER, _MUCH, _FASTER_LOOKS = 2.0, 0.02, 3
+# a stop that makes it worse: motion between two looks against the first ones, and more than that
+# (revolutions), in so many looks
+_FASTER, _MUCH, _FIRST_LOOKS, _FASTER_LOOKS = 2.0, 0.02, 2, 3
 _REPEATS = 3  # of frames that nobody confirms
 
 
@@ -65,7 +66,7 @@ class ProfiledDrive:
         self.in_real_time = bus.in_real_time
         self._bus = bus
         self._power = power_of(bus, profile, self.status_text)
-        self._looks = round(profile.stop_time / _POLL)  # at a drive that is stopping
+        self._looks = max(round(profile.stop_time / _POLL), 3)  # at a drive that is stopping
         self._rest_raw = 0
         self._energised = False
         self.scaling = Scaling(1.0, 1.0, axis.mechanics) if to_stop else self._read_bases(axis)
@@ -520,17 +521,29 @@ class ProfiledDrive:
 
         An axis that becomes faster is not being stopped: then the energy goes at once.
         """
-        position, most, faster = self.read_raw("position_actual"), inf, 0
-        for _ in range(self._looks):
+        at = self._counts()
+        most, faster = 0.0, 0
+        for look in range(self._looks):
             if not self.is_energised() or hurry():
                 return
             self._bus.wait(_POLL)
-            before, position = position, self.read_raw("position_actual")
-            moved = abs(position - before)
+            before, at = at, self._counts()
+            moved = abs(at - before)  # nan where it cannot be read: no faster than anything
+            if look < _FIRST_LOOKS:
+                most = max(most, _FASTER * moved + self._much)
+                continue
             faster = faster + 1 if moved > most else 0
             if faster >= _FASTER_LOOKS:
                 return
-            most = min(most, _FASTER * moved + self._much)
+
+    def _counts(self) -> float:
+        """Position, increments; nan where it is not needed or cannot be read."""
+        if self._much == inf:
+            return nan
+        try:
+            return self.read_raw("position_actual")
+        except AccessDenied:
+            return nan
 
     def close(self) -> None:
         """Stop what is still energised, and let go of the link."""

@@ -19,6 +19,7 @@ from profiles.errors import (
     ProfileError,
     TwoRelayError,
     UsageError,
+    WriteFailed,
 )
 from profiles.schema import WIDTH_BITS, Address, CanopenAddress, Identity, Profile
 
@@ -130,8 +131,6 @@ class CanopenBus:
     def write(self, address: Address, raw: int) -> None:
         """Write a raw value by SDO; raises LinkError, AccessDenied."""
         at = _canopen(address)
-        if self._running:
-            self._beat()  # the drive watches from the first one on: before it is enabled, not after
         self._wire.download(at.index, at.sub, struct.pack("<" + _CODE[at.type], raw))
 
     def post(self, address: Address, raw: int) -> None:
@@ -159,13 +158,15 @@ class CanopenBus:
     def start(self, idle: tuple[int, ...]) -> None:
         """Map the PDOs, start the node, and expect its TPDO with every SYNC."""
         self._idle = idle
+        self._heartbeat_due = -1.0
         if self._running:
+            self._beat()
             return
         if self._wire.awaits_sync:
             self._check_sync()
         self._wire.nmt(NMT_PRE_OPERATIONAL)
         for pdo in (self._rpdo, self._tpdo):
-            there = self._there(pdo)
+            there = self._there(pdo.communication)
             wanted = pdo.wanted(there)
             if not _agree(there, wanted):
                 self._old |= there
@@ -178,7 +179,7 @@ class CanopenBus:
         self._wire.restarted = False
         self._wire.heard_at = perf_counter()
         self._running = True
-        self._heartbeat_due = -1.0
+        self._beat()  # the drive watches from the first one on: before it is enabled, not after
 
     def changes(self) -> dict[str, tuple[int, int]]:
         """PDO parameters and heartbeat time that `start` changes: what is there, and what will be."""
@@ -186,7 +187,7 @@ class CanopenBus:
         if self._running:
             return found
         for pdo in (self._rpdo, self._tpdo):
-            there = self._there(pdo)
+            there = self._there(pdo.communication)
             wanted = pdo.wanted(there)
             if not _agree(there, wanted):
                 found |= {_name(at): (old, wanted.get(at, 0)) for at, old in there.items()}
@@ -209,29 +210,46 @@ class CanopenBus:
         for communication in {index & ~_MAPPING for index, _ in objects} & ours:
             _complete(communication, objects)
         self._running = False
-        self._old = {at: raw for at, raw in self._old.items() if at not in objects}
         return self._put_back(objects)
 
     def _put_back(self, objects: Objects) -> bool:
-        if all(self._number(*at) == raw for at, raw in objects.items()):
+        """Each PDO by itself, then the heartbeat; raises WriteFailed for those that are not back."""
+        changed, failures = False, []
+        for communication in (self._rpdo.communication, self._tpdo.communication):
+            part = {at: raw for at, raw in objects.items() if at[0] & ~_MAPPING == communication}
+            try:
+                changed |= bool(part) and self._put_back_pdo(communication, part)
+            except (AccessDenied, WriteFailed) as error:
+                failures.append(str(error))
+        every = objects.get(_HEARTBEAT_PRODUCER)
+        if every is not None and self._heartbeat_time() not in (None, every):
+            changed = True
+            try:
+                self._download(_HEARTBEAT_PRODUCER, every)
+            except AccessDenied as error:
+                failures.append(str(error))
+        if failures:
+            raise WriteFailed("; ".join(failures))
+        self._old = {at: raw for at, raw in self._old.items() if at not in objects}
+        return changed
+
+    def _put_back_pdo(self, communication: int, objects: Objects) -> bool:
+        """False: it was as before. Raises AccessDenied, WriteFailed."""
+        if self._there(communication) == objects:
             return False
         self._wire.nmt(NMT_PRE_OPERATIONAL)
-        if _HEARTBEAT_PRODUCER in objects:
-            self._download(_HEARTBEAT_PRODUCER, objects[_HEARTBEAT_PRODUCER])
-        for communication in sorted({index & ~_MAPPING for index, _ in objects if index >= 0x1400}):
-            part = {
-                at: raw
-                for at, raw in objects.items()
-                if at[0] in (communication, communication + _MAPPING)
-            }
-            self._configure(communication, part)
+        self._configure(communication, objects)
+        there = self._there(communication)
+        if not _agree(there, objects):
+            wrong = [_name(at) for at, raw in objects.items() if there.get(at) != raw]
+            raise WriteFailed(f"the drive did not take {', '.join(wrong)} back")
         return True
 
-    def _there(self, pdo: _Pdo) -> Objects:
-        """Parameters of a PDO as the drive has them."""
-        communication, mapping = pdo.communication, pdo.communication + _MAPPING
+    def _there(self, communication: int) -> Objects:
+        """Parameters of a PDO as the drive has them; entries only as far as they count."""
+        mapping = communication + _MAPPING
         there = {(communication, sub): self._number(communication, sub) for sub in (1, 2)}
-        count = there[mapping, 0] = self._number(mapping, 0) & 0xFF
+        count = there[mapping, 0] = self._number(mapping, 0)
         for sub in range(1, count + 1):
             there[mapping, sub] = self._number(mapping, sub)
         return there
@@ -258,7 +276,7 @@ class CanopenBus:
             )
 
     def _number(self, index: int, sub: int) -> int:
-        return int.from_bytes(self._wire.upload(index, sub)[:4], "little")
+        return int.from_bytes(self._wire.upload(index, sub)[: _size((index, sub))], "little")
 
     def _download(self, at: tuple[int, int], raw: int) -> None:
         self._wire.download(*at, raw.to_bytes(_size(at), "little"))
@@ -284,7 +302,7 @@ class CanopenBus:
     def _heartbeat_time(self) -> int | None:
         """Producer heartbeat time (1017h), ms; None: the node has none."""
         try:
-            return self._number(*_HEARTBEAT_PRODUCER) & 0xFFFF
+            return self._number(*_HEARTBEAT_PRODUCER)
         except AccessDenied:
             return None
 
@@ -433,7 +451,8 @@ class _Pdo:
 def _agree(there: Objects, wanted: Objects) -> bool:
     """Whether the drive has a PDO as it is wanted; flags that are not ours do not count."""
     return there.keys() == wanted.keys() and all(
-        there[at] == raw or (at[1] == 1 and not at[0] & _MAPPING and not there[at] & _PDO_OFF)
+        there[at] == raw
+        or (at[1] == 1 and not at[0] & _MAPPING and not (there[at] | raw) & _PDO_OFF)
         for at, raw in wanted.items()
     )
 

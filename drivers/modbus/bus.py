@@ -11,7 +11,7 @@ from drivers.modbus.mailbox import MailboxAccess
 from drivers.modbus.registers import decode, encode
 from drivers.pace import Pace
 from drivers.stepping import set_simulation
-from profiles.errors import AccessDenied, LinkLost, ProfileError, TwoRelayError
+from profiles.errors import AccessDenied, LinkLost, ProfileError, TwoRelayError, UsageError
 from profiles.schema import Address, Identity, MailboxAddress, ModbusAddress, Profile
 
 __all__ = ["ModbusBus", "identify"]
@@ -146,7 +146,9 @@ class ModbusBus:
         return {}
 
     def put_back(self, old: dict[str, int]) -> bool:
-        """Nothing to put back."""
+        """Nothing but parameters of the profile was changed; raises UsageError for anything else."""
+        if old:
+            raise UsageError(f"no parameter of profile '{self._profile.name}': {', '.join(old)}")
         return False
 
     def start(self, idle: tuple[int, ...]) -> None:

@@ -40,6 +40,7 @@ class DirectBus:
                 f"virtual:// speaks profile 'virtual-modbus', not '{profile.name}'; serve the axis "
                 "on a wire to use another"
             )
+        self._profile = profile
         self._mode_is_torque = True
         axis = device.firmware.axis
         self._is_bad = bool(axis.jitter or axis.loss or axis.stamp)
@@ -87,7 +88,9 @@ class DirectBus:
         return {}
 
     def put_back(self, old: dict[str, int]) -> bool:
-        """Nothing to put back."""
+        """Nothing but parameters of the profile was changed; raises UsageError for anything else."""
+        if old:
+            raise UsageError(f"no parameter of profile '{self._profile.name}': {', '.join(old)}")
         return False
 
     def start(self, idle: tuple[int, ...]) -> None:

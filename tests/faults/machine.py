@@ -252,6 +252,9 @@ def one(job: Job, phase: str, fault: Fault, delay: float, folder: Path) -> Outco
             wrong.append(f"exit {code}: {text}")
         if len(text.splitlines()) > 1:
             wrong.append("more than one line")
+        # no stop holds an axis whose motor pushes the wrong way
+        if outcome.travel > 1 and fault is not Fault.RUNAWAY:
+            wrong.append(f"{100 * outcome.travel:.0f} % of the travel")
         if firmware.energised:
             wrong.append("energised")
         if abs(firmware.plant.velocity) > 0:

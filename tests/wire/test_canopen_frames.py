@@ -232,9 +232,9 @@ def test_the_cycle_is_rpdo_sync_tpdo() -> None:
         "2F 00 16 00 00 00 00 00", "23 00 16 01 10 00 40 60", "23 00 16 02 10 00 71 60",
         "23 00 16 03 20 00 7A 60", "2F 00 16 00 03 00 00 00",
     ]  # fmt: skip
-    # a producer heartbeat of 100 ms is asked for, and the node is started
+    # a producer heartbeat of 100 ms is asked for, the node is started, and hears ours before it is enabled
     assert (0x605, "2B 17 10 00 64 00 00 00") in peer.sent
-    assert peer.sent[-1] == (0x000, "01 05")
+    assert peer.sent[-2:] == [(0x000, "01 05"), (0x77F, "05")]
     del peer.sent[:]
     exchange = bus.exchange((0x0F, -250, 0))
     assert exchange.values == (0x0237, 10000, 25)

@@ -60,7 +60,7 @@ def test_another_device_paces_the_experiment(serve: Serve, tworelay: Tworelay) -
         )
         assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
-    assert result["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.2)
+    assert result["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.1)
 
 
 def test_without_the_producer_nothing_is_moved(serve: Serve, tworelay: Tworelay) -> None:

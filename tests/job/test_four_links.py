@@ -104,7 +104,7 @@ def test_a_generic_profile_identifies_and_writes_nothing(tworelay: Tworelay, ser
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert result["compensation"] == []
-    assert result["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.2)
+    assert result["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.1)
     refused = tworelay("apply", "last", "--yes")
     assert refused.returncode == 3
     assert "no friction compensation" in refused.stderr

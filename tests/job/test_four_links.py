@@ -77,7 +77,7 @@ def test_over_a_wire_in_real_time(tworelay: Tworelay, serve: Serve, live_wire: s
     result = commission(
         tworelay, link, "--cycle", "0.004", "--method", "two-relay", *PATIENT, travel="±20"
     )
-    assert result["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.2)
+    assert result["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.1)
 
 
 def test_the_state_on_disk_survives_a_power_off(

@@ -12,7 +12,7 @@ from contextlib import suppress
 import can
 import pytest
 
-from drivers.canopen.bus import CanopenBus
+from drivers.canopen.bus import CanopenBus, sync_period
 from drivers.canopen.bus_state import BUS_OFF, NO_ACK, PASSIVE, words
 from drivers.canopen.wire import CanWire, NoAnswer, open_bus
 from drivers.pace import WallPace
@@ -67,6 +67,15 @@ def scripted(*answers: str | list[Frame]) -> Answer:
         return [(0x585, found)] if isinstance(found, str) else found
 
     return answer
+
+
+@pytest.mark.parametrize("stalled", [range(0), range(4), range(8, 13), range(16, 20)])
+def test_the_period_of_sync_is_found_although_this_computer_stalls(stalled: range) -> None:
+    due = [0.01 * n for n in range(20)]
+    assert (
+        sync_period([due[stalled[-1]] + 0.003 if n in stalled else due[n] for n in range(20)])
+        == 0.01
+    )
 
 
 # -- CiA 301, 7.2.4.3 --------------------------------------------------------------------------------

@@ -28,6 +28,8 @@ Span = tuple[float, float]  # begin and end, s
 
 MOST_PERIODS = 60  # of one test
 _GROWTH = 1.35  # of the hysteresis from stage to stage
+_PATIENCE = 30  # periods, for enough of them that no late sample has disturbed
+_RECOVERY = (4, 2, 1, 0)  # periods after a late sample that are not averaged, if there are others
 _TRANSIENT = 3  # periods after a change that are not averaged
 
 
@@ -123,9 +125,9 @@ def balanced(test: RelayTest, known: FirstLook) -> Plan[tuple[LimitCycle, Span]]
     relay, context = test.relay, test.context
     for _ in range(8):
         periods = yield from test.run(
-            lambda p: len(p) >= _TRANSIENT + 4, MOST_PERIODS, test.longest
+            lambda p: len(_recent(p, context.cycle)) >= 4, _PATIENCE, test.longest
         )
-        recent = periods.last(4)
+        recent = _recent(periods, context.cycle).last(4)
         direction = float(np.mean(recent.direction))
         # DC balance: mean(u) = offset + f * mean(sign v)
         offset = float(np.mean(recent.command)) - known.coulomb * direction
@@ -143,20 +145,27 @@ def settle(test: RelayTest, number: int) -> Plan[tuple[LimitCycle, Span]]:
     relay, cycle = test.relay, test.context.cycle
 
     def enough(periods: Periods) -> bool:
-        if len(periods) < _TRANSIENT + FEWEST:
-            return False
-        last = periods.last(max(FEWEST, min(len(periods) - _TRANSIENT, 2 * FEWEST)))
-        return settled(last.period, 0.02 * cycle) and settled(
-            last.half_swing, 2e-3 * float(last.half_swing[-1])
+        last = _recent(periods, cycle)
+        return (
+            len(last) >= FEWEST
+            and settled(last.period, 0.02 * cycle)
+            and settled(last.half_swing, 2e-3 * float(last.half_swing[-1]))
         )
 
     periods = yield from test.run(enough, MOST_PERIODS, test.longest)
-    count = max(FEWEST, min(len(periods) - _TRANSIENT, 2 * FEWEST))
-    if len(periods) < FEWEST:
+    last = _recent(periods, cycle)
+    if len(last) < FEWEST:
         raise MeasurementRejected(f"relay test {number} gave only {len(periods)} whole periods")
-    is_settled = enough(periods)
-    last = periods.last(count)
-    return limit_cycle(relay, last, is_settled=is_settled)
+    return limit_cycle(relay, last, is_settled=enough(periods))
+
+
+def _recent(periods: Periods, cycle: float) -> Periods:
+    """The last periods that may be averaged: undisturbed by late samples where these can be had."""
+    for recovery in _RECOVERY:
+        last = periods.settling(_TRANSIENT, cycle, recovery).last(2 * FEWEST)
+        if len(last) >= FEWEST or len(periods) < _PATIENCE:
+            return last
+    return periods.last(len(periods) - _TRANSIENT)
 
 
 def limit_cycle(relay: Relay, periods: Periods, *, is_settled: bool) -> tuple[LimitCycle, Span]:

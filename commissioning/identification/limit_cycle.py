@@ -15,6 +15,7 @@ FEWEST = 6  # periods for a mean: a sampled relay wanders by some samples (metho
 _SAMPLES_A_PERIOD = 8  # below this a period is no period
 _FEWEST_POINTS = 3  # for a parabola
 _TORQUE_SETTLES = 2  # samples after a change of the command until the axis feels it
+_LATE = 1.5  # cycles between two samples: a period with more is disturbed
 _PEAK_SHARE = 0.05  # of a period: samples on each side of a reversal that are fitted
 
 
@@ -32,6 +33,7 @@ class Periods:
     command : mean of the torque command, N.m or N
     duty : share of the period with the relay high
     peak_speed : largest speed, rad/s or m/s
+    gap : longest time between two samples, s
     """
 
     start: Array
@@ -42,6 +44,7 @@ class Periods:
     command: Array
     duty: Array
     peak_speed: Array
+    gap: Array
 
     def __len__(self) -> int:
         return len(self.period)
@@ -57,7 +60,21 @@ class Periods:
 
     def last(self, count: int) -> Periods:
         """The last `count` periods."""
-        return Periods(*(getattr(self, name)[-count:] for name in self.__slots__))
+        return self._part(slice(max(len(self) - count, 0), None))
+
+    def settling(self, transient: int, cycle: float, recovery: int) -> Periods:
+        """Without the first `transient`, those with a late sample, and the `recovery` after each of these.
+
+        A relay that is asked too late switches too late: the axis swings further, and again back.
+        """
+        late = self.gap > _LATE * cycle
+        for _ in range(recovery):
+            late[1:] |= late[:-1].copy()
+        late[:transient] = True
+        return self._part(~late)
+
+    def _part(self, which: slice | NDArray[np.bool_]) -> Periods:
+        return Periods(*(getattr(self, name)[which] for name in self.__slots__))
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +142,8 @@ def periods_of(
         row = _one(
             t[first:last], y[first:last], u[first:last], crossings[k], crossings[k + 1], bias
         )
-        rows.append(row)
-    columns = np.array(rows, float).reshape(len(rows), 8).T
+        rows.append((*row, np.diff(t[first - 1 : last + 1]).max()))
+    columns = np.array(rows, float).reshape(len(rows), 9).T
     return Periods(*columns)
 
 

@@ -13,6 +13,7 @@ __all__ = ["Envelope", "Watch"]
 
 _MEASURED_TORQUE_SHARE = 1.5  # of the limit; sustained, so that a spike of noise does not trip
 _MEASURED_TORQUE_CYCLES = 10
+_FIRST_TRAVEL, _FIRST_SPEED = 0.6, 0.35  # of the limits, while nothing is known
 _STAYS = 0.05  # of the travel, while the drive takes over
 
 
@@ -30,7 +31,7 @@ class Envelope:
         `heat` what the experiments before have left of it
     stopping : what is certain about stopping; None while nothing is known and speeds are low
     relay_torque : torque about the offset that may act until the axis is told to stop, N.m or N
-    stage : why the speed is limited so, for messages
+    cautious : the first motions, of which nothing is known: a share of travel and speed
     position_unit, effort_unit : for messages
     """
 
@@ -45,7 +46,7 @@ class Envelope:
     heat: float = 0.0
     stopping: Stopping | None = None
     relay_torque: float = 0.0
-    stage: str = ""
+    cautious: bool = False
     position_unit: str = "rad"
     effort_unit: str = "N.m"
 
@@ -65,8 +66,8 @@ class Watch:
     def __init__(self, envelope: Envelope, position: float) -> None:
         self._envelope = envelope
         self._centre = envelope.centre
-        self._travel = envelope.travel
-        self._speed = envelope.speed
+        self._travel = envelope.travel * (_FIRST_TRAVEL if envelope.cautious else 1.0)
+        self._speed = envelope.speed * (_FIRST_SPEED if envelope.cautious else 1.0)
         self._torque = envelope.torque * (1 + 1e-9)
         self._duration = max(envelope.duration - envelope.spent, 0.0)
         self._rated2 = envelope.rated**2
@@ -142,16 +143,19 @@ class Watch:
     def _trip(self, sample: Sample, speed: float, reach: float) -> None:
         e = self._envelope
         pu, tu = e.position_unit, e.effort_unit
-        if reach > e.travel:
+        first = " for the first motions ({:.0f} % of {:.4g})" if e.cautious else ""
+        if reach > self._travel:
+            first = first.format(100 * _FIRST_TRAVEL, e.travel)
             at = sample.position - e.centre
             raise EnvelopeTripped(
                 f"travel: the axis is {at:+.4g} {pu} from its start at {speed:.3g} {pu}/s and would "
-                f"stop within {reach:.4g} {pu}, beyond ±{e.travel:.4g} {pu}; the axis was stopped. "
-                "Give more --travel or less --max-torque"
+                f"stop within {reach:.4g} {pu}, beyond ±{self._travel:.4g} {pu}{first}; the axis was "
+                "stopped. Give more --travel or less --max-torque"
             )
-        if speed > e.speed:
+        if speed > self._speed:
+            first = first.format(100 * _FIRST_SPEED, e.speed)
             raise EnvelopeTripped(
-                f"speed: {speed:.4g} {pu}/s is above the limit of {e.speed:.4g} {pu}/s{e.stage}; the "
+                f"speed: {speed:.4g} {pu}/s is above the limit of {self._speed:.4g} {pu}/s{first}; the "
                 "axis was stopped. Raise --max-speed if the machine allows it"
             )
         if self._heat > e.thermal:

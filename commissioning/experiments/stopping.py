@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from commissioning.experiments.approach import approach
 from commissioning.experiments.first_look import FirstLook
 from commissioning.experiments.plan import Context, Plan
 from profiles.errors import MeasurementRejected
@@ -12,6 +13,7 @@ __all__ = ["Stopping", "run_up"]
 
 _PROOF_SPEED = 0.3  # of the speed limit
 _PROOF_TRAVEL = 0.12  # of the travel, for the run-up
+_OVERSHOOT = 0.7  # of that speed, gained until the axis feels that it is to stop
 _RUN_UP_TIME = 3.0  # s
 _COAST_TRAVEL = 0.5  # of the travel, that coasting on friction alone may take
 
@@ -56,25 +58,30 @@ class Stopping:
 def run_up(context: Context, known: FirstLook) -> Plan[tuple[float, float]]:
     """Set the axis in motion and return while it moves, for the stop path to be proved.
 
+    From the start position, and the way in which the load moves the axis: there it stops worst.
+
     Returns
     -------
     position and speed of the last sample (rad or m, rad/s or m/s; speed >= 0)
     """
+    yield from approach(context, context.start, known)
     context.tell("proof of the stop path: a short run, then stop")
-    most = context.torque - abs(known.offset)
-    torque = min(2.0 * max(known.coulomb, known.breakaway), most)
+    direction = -1 if known.offset > 0 else +1
     coasting = (2 * known.coulomb * _COAST_TRAVEL * context.travel / known.inertia) ** 0.5
     goal = min(_PROOF_SPEED * context.speed, coasting)
     # the stop comes a dead time and two cycles after the speed that asks for it
-    ahead = (torque - known.coulomb) / known.inertia * (known.dead_time + 2 * context.cycle)
-    goal = max(goal - ahead, 0.3 * goal)
+    late = known.dead_time + 2 * context.cycle
+    strongest = min(2.0 * max(known.coulomb, known.breakaway), context.torque - abs(known.offset))
+    torque = known.coulomb + known.inertia * _OVERSHOOT * goal / late
+    torque = min(max(torque, 1.2 * known.breakaway), strongest)
+    goal = max(goal - (torque - known.coulomb) / known.inertia * late, 0.3 * goal)
     before = yield known.offset
     begin, begun = before.position, before.time
     while True:
-        sample = yield known.offset + torque
+        sample = yield known.offset + direction * torque
         elapsed = sample.time - before.time
-        speed = (sample.position - before.position) / elapsed if elapsed > 0 else 0.0
-        far = sample.position - begin >= _PROOF_TRAVEL * context.travel
+        speed = direction * (sample.position - before.position) / elapsed if elapsed > 0 else 0.0
+        far = direction * (sample.position - begin) >= _PROOF_TRAVEL * context.travel
         if speed >= goal or (far and speed > 0):
             return sample.position, max(speed, 0.0)
         if sample.time > begun + _RUN_UP_TIME:

@@ -51,7 +51,6 @@ __all__ = ["Measurement"]
 
 T = TypeVar("T")
 
-_LOW_SPEED = 0.35  # of the speed limit, while nothing is known
 _THERMAL = 5.0  # s at twice-and-a-bit the rated torque: budget in rated² seconds
 _BRAKING_SHARE = 0.7  # of the braking that was seen, for what is certain
 _SOUND = 0.35, 0.72  # f/d1 of well-conditioned oscillations
@@ -108,8 +107,8 @@ class Measurement:
         self.envelope = Envelope(
             centre=limits.start,
             travel=limits.travel,
-            speed=_LOW_SPEED * limits.speed,
-            stage=f" for the first motions ({_LOW_SPEED * 100:.0f} % of {limits.speed:.4g})",
+            speed=limits.speed,
+            cautious=True,
             torque=limits.torque,
             duration=limits.duration,
             rated=limits.rated,
@@ -141,7 +140,7 @@ class Measurement:
 
     def follow(self, path: TrackingPath) -> TrackingSamples:
         """Follow a path in position mode; its samples are no part of the torque record."""
-        envelope = replace(self.envelope, speed=self.limits.speed, stage="", rated=inf, thermal=inf)
+        envelope = replace(self.envelope, cautious=False, rated=inf, thermal=inf)
         return run(
             track(self.context, path), self.drive, envelope, Recorder(), self.desk.interruption,
             mode=Mode.POSITION, guardian=self.guardian,
@@ -246,8 +245,7 @@ class Measurement:
         self.plan = design(self.context, self.known, self.stopping, pace)
         self.envelope = replace(
             self.envelope,
-            speed=self.limits.speed,
-            stage="",
+            cautious=False,
             stopping=self.stopping,
             relay_torque=self.plan.most,
         )

@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from commissioning.envelope import Envelope, Watch
-from commissioning.experiments.stopping import Stopping
+from commissioning.experiments.first_look import FirstLook
+from commissioning.experiments.plan import Context
+from commissioning.experiments.stopping import Stopping, run_up
 from drivers.sample import Sample, Status
 from profiles.errors import EnvelopeTripped
 
@@ -35,6 +37,17 @@ def test_the_stopping_distance_counts_towards_the_travel() -> None:
     w.check(sample(0.01, 1.05))  # 5 rad/s: 0.05 + 0.225 < 0.3
     with pytest.raises(EnvelopeTripped, match=r"travel: the axis is \+0.1 rad"):
         w.check(sample(0.02, 1.10))  # 0.1 + 0.225 > 0.3
+
+
+def test_the_first_motions_have_less_room() -> None:
+    for instant, position, text in (
+        (1.0, 1.31, r"beyond ±0.3 rad for the first motions \(60 % of 0.5\)"),
+        (0.01, 1.04, r"above the limit of 3.5 rad/s for the first motions \(35 % of 10\)"),
+    ):
+        w = watch(cautious=True)
+        w.check(sample(0.0, 1.0))
+        with pytest.raises(EnvelopeTripped, match=text):
+            w.check(sample(instant, position))
 
 
 def test_moving_back_counts_from_the_other_end() -> None:
@@ -91,3 +104,20 @@ def test_the_thermal_budget_counts_what_is_above_the_rated_torque() -> None:
         w.check(sample(n * 0.01, 1.0, command=0.8))
     with pytest.raises(EnvelopeTripped, match="i2t"):
         w.check(sample(0.27, 1.0, command=0.8))
+
+
+@pytest.mark.parametrize(("offset", "way"), [(0.05, -1), (-0.05, +1), (0.0, +1)])
+def test_the_stop_is_proved_the_way_in_which_the_load_moves_the_axis(
+    offset: float, way: int
+) -> None:
+    known = FirstLook(0.1, offset, 0.1, 0.0, 1e-3, 0.004)
+    context = Context(cycle=0.004, resolution=1e-4, start=1.0, travel=0.5, torque=0.8, speed=10.0)
+    plan, time, commands = run_up(context, known), 0.0, []
+    set_point = next(plan)
+    for _ in range(40):  # the axis stands at its start
+        time += 0.004
+        commands.append(set_point)
+        set_point = plan.send(sample(time, 1.0))
+    pushes = [command - offset for command in commands if command != offset]
+    assert pushes
+    assert all(push * way > 0.1 for push in pushes)

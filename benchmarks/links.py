@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import can
+from can.interfaces.slcan import slcanBus
 
 from drivers.link import axis_of, open_drive
 from drivers.scan import scan
@@ -61,7 +62,8 @@ def links() -> list[str]:
 # -- against the bare library -----------------------------------------------------------------------
 
 
-def _bare_modbus(drive: Any) -> Callable[[], None]:
+@contextmanager
+def _bare_modbus(drive: Any) -> Iterator[Callable[[], None]]:
     """pymodbus' own FC 23 with the same registers, on the same connection."""
     client = drive._bus._client._client
 
@@ -71,12 +73,18 @@ def _bare_modbus(drive: Any) -> Callable[[], None]:
         )
         assert len(answer.registers) == 5
 
-    return exchange
+    yield exchange
 
 
-def _bare_can(drive: Any) -> Callable[[], None]:
-    """python-can's own send and receive of the same frames, on the same bus."""
+@contextmanager
+def _bare_can(drive: Any) -> Iterator[Callable[[], None]]:
+    """python-can's own send and receive of the same frames; by its own client of a serial adapter."""
     bus = drive._bus._wire._bus
+    own = isinstance(bus, slcanBus)
+    if own:
+        bus = can.Bus(
+            interface="slcan", channel=bus.serialPortOrig.port, sleep_after_open=0, timeout=0
+        )
 
     def send(cob_id: int, data: bytes) -> None:
         bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
@@ -87,7 +95,11 @@ def _bare_can(drive: Any) -> Callable[[], None]:
         while (message := bus.recv(1.0)) is None or message.arbitration_id != 0x185:
             assert message is not None
 
-    return exchange
+    try:
+        yield exchange
+    finally:
+        if own:
+            bus.shutdown()
 
 
 def _rate(exchange: Callable[[], Any]) -> float:
@@ -115,13 +127,13 @@ def _against_the_library() -> list[str]:
         rates: list[list[float]] = [[], []]
         with served(*WIRES[name], "--clock", "step") as link:
             drive = open_drive(axis_of(link), cycle=0.002)
-            drive.enable(Mode.TORQUE)
-            library = bare(drive)
-            for _ in range(_BATCHES):
-                rates[0].append(_rate(library))
-                rates[1].append(_rate(lambda drive=drive: drive.exchange(0.0)))  # type: ignore[misc]
-            drive.stop()
-            drive.close()
+            with bare(drive) as library:
+                drive.enable(Mode.TORQUE)
+                for _ in range(_BATCHES):
+                    rates[0].append(_rate(library))
+                    rates[1].append(_rate(lambda drive=drive: drive.exchange(0.0)))  # type: ignore[misc]
+                drive.stop()
+                drive.close()
         bare_rate, driver_rate = map(statistics.median, rates)
         lines.append(
             f"| {name} | {bare_rate:.0f} | {driver_rate:.0f} | {driver_rate / bare_rate:.2f} |"

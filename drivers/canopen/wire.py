@@ -17,6 +17,7 @@ from collections.abc import Callable
 from typing import Any
 
 import can
+from can.interfaces.slcan import slcanBus
 from can.interfaces.socketcand import SocketCanDaemonBus
 from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.client import SdoClient
@@ -40,6 +41,9 @@ _NO_OBJECT = b"\0\0\0"  # some drives abort so
 _SEGMENT, _LARGEST_OBJECT = 7, 5_000_000  # bytes; the largest object is an EDS (1021h)
 _POST_ANSWER = 0.05  # s that the answer to a posted download may take
 
+_FRAMES = (b"t", b"T", b"r", b"R", b"x")  # lines of slcan that are frames; x: CANDapter's T
+_LONGEST_LINE = 4096  # bytes without an end: no adapter of this kind
+
 Trace = Callable[[bool, int, bytes], None]
 
 
@@ -62,6 +66,8 @@ def open_bus(interface: str, channel: str, bitrate: int, timeout: float) -> can.
     try:
         if interface == "socketcand":
             bus: can.BusABC = _Socketcand(channel=channel, **options)  # type: ignore[no-untyped-call]
+        elif interface == "slcan":
+            bus = _Slcan(channel=channel, **options)
         else:
             bus = can.Bus(interface=interface, channel=channel, **options)
     except can.CanInterfaceNotImplementedError as error:
@@ -99,6 +105,42 @@ class _Socketcand(SocketCanDaemonBus):
             stream.close()
             raise can.CanError(f"it says '{heard[:40]}' where '{message}' is expected")
         self._SocketCanDaemonBus__receive_buffer: str = heard[len(message) :]
+
+
+class _Slcan(slcanBus):
+    """python-can's client, which asks the system for every byte: here for all that has come.
+
+    The adapter's acknowledgements are passed over; a line that cannot be read is lost alone.
+    """
+
+    is_dead = False  # at the last read nothing was there
+
+    def await_data(self, timeout: float) -> bool:
+        """Wait until something can be read, at most `timeout` s."""
+        return b"\r" in self._buffer or bool(select.select([self.fileno()], [], [], timeout)[0])
+
+    def _read(self, timeout: float | None) -> str | None:
+        port, deadline = self.serialPortOrig, time.perf_counter() + (timeout or 0.0)
+        self.is_dead = True
+        while True:
+            while (end := self._buffer.find(b"\r")) >= 0:
+                line = self._buffer[:end].lstrip(b"\a")
+                del self._buffer[: end + 1]
+                self.is_dead = False
+                if line[:1] in _FRAMES:
+                    return line.decode("ascii")
+            try:
+                data = port.read(max(port.in_waiting, 1))
+            except (OSError, TypeError) as error:  # TypeError: closed meanwhile
+                raise can.CanOperationError(
+                    f"cannot read from the serial device: {error}"
+                ) from error
+            self.is_dead = self.is_dead and not data
+            self._buffer += data
+            if len(self._buffer) > _LONGEST_LINE and b"\r" not in data:
+                self._buffer.clear()
+            if not data and time.perf_counter() >= deadline:
+                return None
 
 
 def _untangle_socketcand(bus: can.BusABC) -> None:
@@ -144,13 +186,6 @@ def _first_line(error: Exception) -> str:
     line = lines[0].removesuffix("Traceback (most recent call last):").strip()
     reason = getattr(error.__cause__, "strerror", None) or str(error.__cause__ or "").strip()
     return f"{line} ({reason})" if reason and reason not in line else line
-
-
-def _waitable(bus: can.BusABC) -> int | None:
-    """Descriptor of a serial adapter: waiting on it beats the library's polling."""
-    if os.name == "nt" or type(bus).__name__ != "slcanBus":
-        return None
-    return int(bus.fileno())
 
 
 def _expedited(index: int, sub: int, data: bytes) -> bytes:
@@ -205,7 +240,9 @@ class CanWire:
         self._tpdo: bytes | None = None
         self._closed = False
         self._posted = 0
-        self.descriptor = _waitable(bus)
+        # waiting on a descriptor beats the library's polling
+        self._serial = bus if os.name != "nt" and isinstance(bus, _Slcan) else None
+        self.descriptor = None if self._serial is None else int(self._serial.fileno())
         self._sdo = _PumpedSdo(self, node, timeout)
 
     # -- frames ----------------------------------------------------------------------------------
@@ -224,20 +261,20 @@ class CanWire:
     send_message = send  # the name under which canopen's SDO client knows it
 
     def pump(self, timeout: float) -> bool:
-        """Receive and sort one frame; False when none came within `timeout` s."""
+        """Receive and sort one frame; False when nothing came within `timeout` s."""
         try:
-            if self.descriptor is not None:
-                ready, _, _ = select.select([self.descriptor], [], [], timeout)
-                message = self._bus.recv(0) if ready else None
+            if self._serial is not None:
+                if not self._serial.await_data(timeout):
+                    return False
+                message = self._bus.recv(0)
+                if message is None:
+                    return not self._serial.is_dead  # a part of a line, or an acknowledgement
             else:
                 message = self._bus.recv(timeout)
         except (ValueError, IndexError):
-            self._skip_line()
+            self.garbled += 1
             return True
         except (can.CanError, OSError) as error:
-            if isinstance(error.__cause__ or error.__context__, ValueError):
-                self._skip_line()
-                return True
             raise LinkLost(f"the CAN adapter failed: {_first_line(error)}") from None
         if message is None:
             return False
@@ -272,13 +309,6 @@ class CanWire:
             self.syncs += 1
         elif cob_id in (NMT, SYNC, 0x200 + self.node, 0x600 + self.node):
             self.foreign_master = cob_id
-
-    def _skip_line(self) -> None:
-        """Forget a corrupt line of a serial adapter, which python-can keeps; the next one is good again."""
-        self.garbled += 1
-        line = getattr(self._bus, "_buffer", None)
-        if isinstance(line, bytearray):
-            line.clear()
 
     def pump_until(self, done: Callable[[], bool], timeout: float) -> bool:
         """Pump until `done()`, at most `timeout` s; return whether it is done."""

@@ -341,6 +341,30 @@ def test_error_frames_by_linux_can_error_h(identifier: int, data: str, text: str
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
+def test_lines_that_come_together_split_or_with_acknowledgements_are_all_read() -> None:
+    """Lawicel's CAN232: CR or z CR after a sent frame, BELL for one that was not."""
+    master, slave = os.openpty()
+    bus = open_bus("slcan", os.ttyname(slave), 500_000, 1.0)
+    node = CanWire(bus, NODE, 1.0)
+    try:
+        node.listen_tpdo(0x185)
+        for chunk in (b"z\r\a\rt705105\rt18524", b"237\rt705114\r\r"):
+            os.write(master, chunk)
+            node.drain()
+        assert node.heartbeat_state == 0x14
+        os.write(master, b"t1852")
+        node.drain()
+        assert node.take_tpdo(0) is None
+        os.write(master, b"4237\r")
+        assert node.take_tpdo(1.0) == b"\x42\x37"
+        assert node.garbled == 0
+    finally:
+        node.close()
+        os.close(slave)
+        os.close(master)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
 @pytest.mark.parametrize(
     "garbage",
     [b"t58", b"tXYZ8\r", b"t5858ZZ\r", b"t585\xff\r", b"\r\r\r", b"t5859" + b"0" * 30 + b"\r"],

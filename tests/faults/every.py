@@ -23,7 +23,7 @@ from tests.faults.served import served
 Case = tuple[int, Way]
 Chunk = tuple[str, bool, list[Case]]
 
-_CHUNK = 100
+_CHUNK = 250
 _DRAWN = 1000
 _A_CORE = 3  # workers: a broken wire is mostly waited for
 

@@ -31,7 +31,7 @@ PDO = (
     (0x1017, 0),
 )  # fmt: skip
 ALLOWED = {3, 4, 5, 6, 7}  # refused, link, drive stopped, rejected, not put back: never a bug (1)
-_CYCLE, _TRAVEL = 0.015, 5.0  # s, rad
+_CYCLE, _TRAVEL = 0.015, 3.0  # s, rad
 _PATIENCE = 0.05  # s for an answer
 
 
@@ -50,7 +50,7 @@ def short(job: Measurement, result: dict[str, Any]) -> None:
 
     def plan() -> Plan[Oscillations]:
         sample = yield job.known.offset
-        yield from approach(job.context, sample.position + 0.04 * _TRAVEL, job.known)
+        yield from approach(job.context, sample.position + 0.025 * _TRAVEL, job.known)
         return (
             yield from oscillations(job.context, job.plan, job.known, 2, (Stretch(2, 1, 1),))
         )  # fmt: skip

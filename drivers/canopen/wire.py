@@ -121,7 +121,7 @@ class _Slcan(slcanBus):
 
     def _read(self, timeout: float | None) -> str | None:
         port, deadline = self.serialPortOrig, time.perf_counter() + (timeout or 0.0)
-        self.is_dead = True
+        self.is_dead, is_late = True, False
         while True:
             while (end := self._buffer.find(b"\r")) >= 0:
                 line = self._buffer[:end].lstrip(b"\a")
@@ -129,6 +129,8 @@ class _Slcan(slcanBus):
                 self.is_dead = False
                 if line[:1] in _FRAMES:
                     return line.decode("ascii")
+            if is_late:
+                return None
             try:
                 data = port.read(max(port.in_waiting, 1))
             except (OSError, TypeError) as error:  # TypeError: closed meanwhile
@@ -139,8 +141,7 @@ class _Slcan(slcanBus):
             self._buffer += data
             if len(self._buffer) > _LONGEST_LINE and b"\r" not in data:
                 self._buffer.clear()
-            if not data and time.perf_counter() >= deadline:
-                return None
+            is_late = time.perf_counter() >= deadline
 
 
 def _untangle_socketcand(bus: can.BusABC) -> None:

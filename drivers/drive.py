@@ -87,6 +87,9 @@ class Drive(Protocol):
     def in_fault(self) -> bool:
         """Whether the drive reports a fault."""
 
+    def fault_text(self) -> str:
+        """Fault and its code in words, or 'no fault'."""
+
     def reset_fault(self) -> None:
         """Acknowledge a fault; never enables."""
 

@@ -294,12 +294,17 @@ class ProfiledDrive:
 
     def status_text(self) -> str:
         """State of the drive in words, with what it reported."""
+        text, trouble = self._state_text(), self._bus.trouble()
+        return f"{text}, {trouble}" if trouble else text
+
+    def _state_text(self) -> str:
         text = self._power.text()
         code = self.read_raw("error_code") if "error_code" in self.profile.parameters else 0
-        trouble = self._bus.trouble()
-        if code:
-            text += f", error code {code:04X}h"
-        return f"{text}, {trouble}" if trouble else text
+        return f"{text}, error code {code:04X}h" if code else text
+
+    def fault_text(self) -> str:
+        """Fault and its code in words, or 'no fault'."""
+        return self._state_text() if self.in_fault() else "no fault"
 
     def is_energised(self) -> bool:
         """Whether the drive says that it controls the axis."""

@@ -231,11 +231,13 @@ def prove_watchdog(
     tell: Callable[[str], None],
     *,
     without: bool,
-) -> None:
+    before: str | None = None,
+) -> str | None:
     """Enable with the rest torque, fall silent, and see the drive stop by itself, and the axis stay.
 
-    Raises PreflightRefused when they do not, or when the drive has no watchdog and `without` is not
-    set.
+    Returns the fault with which it stopped. `before`: that of an earlier proof; another one stays in the
+    drive, and is a DriveFault: it was not the watchdog. Raises PreflightRefused when drive or axis does
+    otherwise, or when the drive has no watchdog and `without` is not set.
     """
     watchdog = drive.profile.watchdog
     check_watchdog(drive, without=without)
@@ -244,7 +246,7 @@ def prove_watchdog(
             "no watchdog of the drive is proved: if the cable fails, nothing stops the axis"
             " (the guardian process stops it should this program fail)"
         )
-        return
+        return None
     tell(f"proof of the watchdog: silence for {3 * watchdog.timeout * 1000:.0f} ms")
     with interruption.deferred():
         try:
@@ -270,6 +272,13 @@ def prove_watchdog(
                 f"watchdog ('{watchdog.parameter}') is not proved, so nothing is moved. "
                 "(A served drive that steps needs clock=step in its link.)"
             )
+        found = drive.fault_text()
+        if before is not None and found != before:
+            raise DriveFault(
+                f"while its watchdog was proved the drive stopped with '{found}', and with '{before}' in an "
+                "earlier proof: something else has stopped it. Look the code up in its manual, remove the "
+                "cause, then try again"
+            )
         if drive.in_fault():
             drive.reset_fault()
         moved = drive.read("position_actual") - begin
@@ -278,3 +287,4 @@ def prove_watchdog(
                 f"the axis, or its encoder, moved by {moved:+.3g} (of ±{travel:.4g} that are allowed) while "
                 "the watchdog was proved with the torque that holds it: find out why first"
             )
+    return found

@@ -281,7 +281,7 @@ class Firmware:
         """React to a silent master as the abort connection option code says (CiA 402, 6007h)."""
         self._watched = False
         option = self.values["abort_connection_option"]
-        if option == 0 or not self._energised:
+        if option == 0 or not self._energised or self.state is State.FAULT_REACTION_ACTIVE:
             return
         if option == 1:
             self.trip(code)

@@ -27,6 +27,7 @@ __all__ = ["DELAYS", "JOBS", "Fault", "Job", "Outcome", "one", "phases"]
 
 _SECOND = 1_000_000_000  # ns
 _LOOK, _LOOKS = 5_000_000, 600  # ns, after the job
+_PRESSED = _SECOND // 2  # ns that a limit switch stays so
 DELAYS = 0.004, 0.05, 0.3  # s after a phase has begun
 _ALLOWED = {3, 5, 6}
 
@@ -134,6 +135,8 @@ class _Machine:
                     machine.began = firmware.now
                     machine._fail(firmware)
             advance(firmware, duration)
+            if machine.presses_switch(firmware) and firmware.state is State.OPERATION_ENABLED:
+                firmware._quick_stop()
             machine._watch(firmware)
 
         VirtualAxis.build = lambda axis: _FaultyPlant(build(axis))  # type: ignore[method-assign, assignment, arg-type, return-value]
@@ -145,6 +148,11 @@ class _Machine:
 
     def __exit__(self, *exc: object) -> None:
         VirtualAxis.build, Firmware.advance, Firmware.position = self._healthy  # type: ignore[method-assign, misc]
+
+    def presses_switch(self, firmware: Firmware) -> bool:
+        """Whether the axis still is on its limit switch."""
+        began = self.began if self.fault is Fault.LIMIT_SWITCH else None
+        return began is not None and firmware.now - began < _PRESSED
 
     def _fail(self, firmware: Firmware) -> None:
         plant = firmware.plant

@@ -46,6 +46,18 @@ def test_a_stop_that_does_not_come_to_an_end_ends_after_a_second() -> None:
     assert not drive.energised
 
 
+def test_a_fault_stays_the_fault_although_the_master_falls_silent_during_its_reaction() -> None:
+    """CiA 402: 'fault reaction active' is left for 'fault' alone."""
+    drive = enabled("vertical")
+    drive.write("abort_connection_option", 3)
+    drive.write("watchdog_time", 10)
+    drive.feed_watchdog()
+    drive.trip(0x8611)
+    drive.advance(500 * MS)
+    assert drive.state is State.FAULT
+    assert drive.error_code == 0x8611
+
+
 class _Loaded(Plant):
     """Something drives the axis on, whatever the motor does."""
 

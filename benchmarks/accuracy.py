@@ -24,6 +24,7 @@ from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
 from commissioning.runs import RunFolder  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
+from commissioning.session.armed import Failure  # noqa: E402
 from commissioning.session.desk import Desk, Options  # noqa: E402
 from drivers.link import axis_of, open_drive, parse  # noqa: E402
 from drivers.virtual.axes import AXES, VirtualAxis, configured  # noqa: E402
@@ -109,7 +110,7 @@ def run(case: tuple[str, float, bool, str]) -> Outcome:
         if method == "velocity sweep":
             return sweep(outcome, link, axis, truth)
         result = measure(link, cycle, "auto" if method == "IDIM-LS" else method)
-    except session.Failure as failure:
+    except Failure as failure:
         outcome.refused = str(failure.error)
         return outcome
     except Exception as bug:
@@ -255,7 +256,7 @@ def interval(seed: int) -> tuple[bool, float, float, int, str] | str:
     link, cycle, truth = random_case(seed)
     try:
         result = measure(link, cycle)
-    except session.Failure as failure:
+    except Failure as failure:
         return str(failure.error)
     except Exception as bug:
         return f"BUG {type(bug).__name__}: {bug} at {link}"

@@ -30,6 +30,7 @@ from benchmarks.accuracy import (  # noqa: E402
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
+from commissioning.session.armed import Failure  # noqa: E402
 from commissioning.session.desk import Desk, Options  # noqa: E402
 from commissioning.session.tune import DriveLoop, tune  # noqa: E402
 from commissioning.tuning.controllers import law  # noqa: E402
@@ -87,7 +88,7 @@ def run(case: tuple[str, float]) -> Outcome:
         ):
             desk = Desk(journal, interruption, lambda text: None, lambda question, word: True)
             result = session.identify(axis, options, desk)
-    except session.Failure as failure:
+    except Failure as failure:
         outcome.refused = str(failure.error)
         return outcome
     outcome.verdict = result["quality"]["verdict"]
@@ -199,7 +200,7 @@ def rows_of(outcomes: list[Outcome]) -> list[str]:
         "| reading | gain, % | phase, ° | interval covers | points |",
         "| --- | --- | --- | --- | --- |",
     ]
-    kinds = [(key, None) for key in READINGS]
+    kinds: list[tuple[str, str | None]] = [(key, None) for key in READINGS]
     kinds += [(key, how) for key in WANTED for how in ("measured", "computed")]
     for key, how in kinds:
         found = [
@@ -253,9 +254,9 @@ def critical_point() -> list[str]:
             off = [abs(x) for o in mine for x in o.margins.get(loop, [])]
             cells.append(f"{max(off):.2f}" if off else "–")
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    off = {loop: [x for o in done for x in o.margins.get(loop, [])] for loop in ("host", "drive")}
+    margins = {loop: [x for o in done for x in o.margins.get(loop, [])] for loop in ("host", "drive")}
     lines += ["", "Phase margins predicted against simulated, degrees, median / worst: "]
-    lines += [f"{loop} {spread(values)} of {len(values)} sets" for loop, values in off.items()]
+    lines += [f"{loop} {spread(values)} of {len(values)} sets" for loop, values in margins.items()]
     refused = [o for o in outcomes if o.refused]
     if refused:
         lines += ["", "Refused:", ""]

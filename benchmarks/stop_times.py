@@ -127,7 +127,12 @@ class _Observer:
 def _observe(link: str) -> None:
     """The observer's process: one line a look, until standard input ends."""
     ended = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+
+    def wait_for_the_end() -> None:
+        sys.stdin.read()
+        ended.set()
+
+    threading.Thread(target=wait_for_the_end, daemon=True).start()
     drive = open_drive(Axis(link=link, profile="virtual-modbus"))
     print("ready", flush=True)
     while not ended.is_set():

@@ -1,4 +1,4 @@
-"""Real-time priority and locked memory for the loop, where the system permits it; else nothing happens."""
+"""Real-time priority and locked memory, where the system permits them; else nothing happens."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ _MCL_CURRENT, _MCL_FUTURE = 1, 2  # <sys/mman.h> on Linux
 
 
 @contextlib.contextmanager
-def real_time() -> Generator[bool]:
+def real_time(*, below: int = 0) -> Generator[bool]:
     """Run the body with SCHED_FIFO and pages that stay in memory; the value says whether it is so.
 
+    `below`: by how much the priority is under the loop's, so that what serves the loop yields to it.
     Everything is as before afterwards. Other systems than Linux run the body as it is.
     """
     if not hasattr(os, "sched_setscheduler"):
@@ -24,7 +25,7 @@ def real_time() -> Generator[bool]:
         return
     policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY - below))
     except OSError:
         yield False
         return

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import itertools
 import os
-import signal
 import subprocess
-import sys
 import threading
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
+from tests import serving
+from tests.command import in_this_process
+from tests.punctual import Punctual
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Tests in real time have a runner of their own."""
+    config.pluginmanager.register(Punctual())
 
 
 @pytest.fixture(autouse=True)
@@ -56,45 +62,17 @@ Serve = Callable[..., list[str]]
 @pytest.fixture
 def serve(tmp_path: Path) -> Iterator[Serve]:
     """Serve a virtual axis from another process: serve("bench", "--slcan", "pty") → LINKs."""
-    servers: list[subprocess.Popen[str]] = []
+    with contextlib.ExitStack() as servers:
+        count = itertools.count()
 
-    def start(axis: str, *arguments: str, links: int = 1) -> list[str]:
-        state = tmp_path / f"drive-{len(servers)}.json"
-        command = [sys.executable, "-m", "commissioning", "virtual", "serve", axis, *arguments]
-        server = subprocess.Popen(
-            [*command, "--state", str(state)], stdout=subprocess.PIPE, text=True, cwd=ROOT
-        )
-        servers.append(server)
-        assert server.stdout is not None
-        found = [server.stdout.readline().strip() for _ in range(links)]
-        assert all(found), "the virtual drive did not start"
-        return found
+        def start(axis: str, *arguments: str, links: int = 1) -> list[str]:
+            state = tmp_path / f"drive-{next(count)}.json"
+            return servers.enter_context(serving.serve(axis, *arguments, links=links, state=state))
 
-    yield start
-    for server in servers:
-        server.send_signal(signal.SIGTERM)
-        try:
-            server.wait(10)
-        except subprocess.TimeoutExpired:
-            server.kill()
-            server.wait()
-        assert server.stdout is not None
-        server.stdout.close()
-        assert server.returncode in (143, -signal.SIGKILL), "it ends by its signal, not by a bug"
+        yield start
 
 
-WIRES = {
-    "modbus-tcp": ("--modbus-tcp", "127.0.0.1:0"),
-    "modbus-rtu": ("--modbus-rtu", "pty"),
-    "modbus-rtu-tcp": ("--modbus-rtu-tcp", "127.0.0.1:0"),
-    "socketcand": ("--socketcand", "127.0.0.1:0"),
-    "slcan": ("--slcan", "pty"),
-}
-# tests in real time share one worker: two at once on two cores would disturb each other
-real_time = pytest.mark.xdist_group("real time")
-
-
-@pytest.fixture(params=[*WIRES])
+@pytest.fixture(params=[*serving.WIRES])
 def wire(request: pytest.FixtureRequest) -> str:
     """Each wire that crosses processes."""
     if request.param in ("slcan", "modbus-rtu") and os.name == "nt":
@@ -113,32 +91,7 @@ def live_wire(request: pytest.FixtureRequest) -> str:
 Tworelay = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
-def command_line(*arguments: str) -> list[str]:
-    """The command as a user types it."""
-    return [sys.executable, "-m", "commissioning", *arguments]
-
-
 @pytest.fixture
 def tworelay() -> Tworelay:
-    """Run the command line; returns the finished process with its texts."""
-
-    def run(*arguments: str, environment: dict[str, str] | None = None) -> object:
-        return subprocess.run(
-            command_line(*arguments), capture_output=True, text=True, cwd=ROOT, timeout=150,
-            stdin=subprocess.DEVNULL, env={**os.environ, **(environment or {})}, check=False,
-        )  # fmt: skip
-
-    return run  # type: ignore[return-value]
-
-
-@contextlib.contextmanager
-def running(*arguments: str) -> Generator[subprocess.Popen[str]]:
-    """A command under way."""
-    with subprocess.Popen(
-        command_line(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        cwd=ROOT, stdin=subprocess.DEVNULL, env={**os.environ, "PYTHONUNBUFFERED": "1"},
-    ) as process:  # fmt: skip
-        try:
-            yield process
-        finally:
-            process.kill()
+    """Run the command line in this process; returns its exit code and its texts."""
+    return in_this_process

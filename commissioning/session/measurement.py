@@ -99,8 +99,7 @@ class Measurement:
         self.solver: Solver = "thesis" if options.solver == "thesis" else "bracket"
         loops = drive.profile.loops
         self.loop_lag = drive.read(loops.lag) if loops and loops.lag else 0.0  # s
-        self._is_proved = False  # the watchdog, once at least
-        self._watchdog_fault: str | None = None  # with which it stopped the drive then
+        self._watchdog_fault: str | None = None  # which its proof left behind; None: no proof yet
         self._heat, self._heated = 0.0, 0  # i²t that is left over, and up to which sample
         self.known: FirstLook
         self.stopping: Stopping
@@ -160,12 +159,11 @@ class Measurement:
 
     def prove_watchdog(self, rest: float) -> None:
         """See the drive stop by itself under the torque `rest` (N.m or N) that holds the axis."""
-        tell = (lambda text: None) if self._is_proved else self.recorder.phase
+        tell = self.recorder.phase if self._watchdog_fault is None else lambda text: None
         self._watchdog_fault = prove_watchdog(
             self.drive, rest, self.limits.travel, self.desk.interruption, tell,
             without=self.options.without_watchdog, before=self._watchdog_fault,
         )  # fmt: skip
-        self._is_proved = True
 
     def _move(self, plan: Plan[T], rest: float, *, leave_moving: bool = False) -> T:
         """Drive a plan that moves the axis: the drive's watchdog is proved first."""

@@ -232,12 +232,12 @@ def prove_watchdog(
     *,
     without: bool,
     before: str | None = None,
-) -> str | None:
+) -> str:
     """Enable with the rest torque, fall silent, and see the drive stop by itself, and the axis stay.
 
-    Returns the fault with which it stopped. `before`: that of an earlier proof; another one stays in the
-    drive, and is a DriveFault: it was not the watchdog. Raises PreflightRefused when drive or axis does
-    otherwise, or when the drive has no watchdog and `without` is not set.
+    Returns the fault with which it stopped, '' without a watchdog. `before`: that of an earlier proof;
+    another one stays in the drive, and is a DriveFault: it was not the watchdog. Raises PreflightRefused
+    when drive or axis does otherwise, or when the drive has no watchdog and `without` is not set.
     """
     watchdog = drive.profile.watchdog
     check_watchdog(drive, without=without)
@@ -246,7 +246,7 @@ def prove_watchdog(
             "no watchdog of the drive is proved: if the cable fails, nothing stops the axis"
             " (the guardian process stops it should this program fail)"
         )
-        return None
+        return ""
     tell(f"proof of the watchdog: silence for {3 * watchdog.timeout * 1000:.0f} ms")
     with interruption.deferred():
         try:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
+from drivers.realtime import real_time
 from drivers.virtual.axes import VirtualAxis
 from drivers.virtual.device import Clock, Device
 from drivers.virtual.firmware import Firmware
@@ -47,9 +48,14 @@ def serve(
     clock: Clock,
     announce: Callable[[str], None],
 ) -> int:
-    """Serve until SIGINT or SIGTERM, and return which; `announce` gets one ready LINK at a time."""
+    """Serve until SIGINT or SIGTERM, and return which; `announce` gets one ready LINK at a time.
+
+    In real time it has the loop's kind of priority, one below, where that is permitted.
+    """
+    urgent = real_time(below=1) if clock == "wall" else contextlib.nullcontext()
     try:
-        return asyncio.run(_serve(axis, memory, endpoints, clock, announce))
+        with urgent:
+            return asyncio.run(_serve(axis, memory, endpoints, clock, announce))
     except KeyboardInterrupt:
         return int(signal.SIGINT)
 

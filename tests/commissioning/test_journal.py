@@ -15,7 +15,7 @@ from commissioning.settings import Settings, put_back, settle
 from drivers.drive import Drive
 from drivers.link import axis_of, open_drive
 from profiles.errors import JournalError, LinkLost, UnknownName, UsageError
-from tests.conftest import ROOT
+from tests.command import ROOT
 
 
 @pytest.fixture

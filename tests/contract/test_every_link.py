@@ -15,7 +15,8 @@ from drivers.virtual.device import Device
 from drivers.virtual.firmware import Firmware
 from profiles.errors import AccessDenied, PreflightRefused, UnknownName, WriteFailed
 from profiles.schema import Mode
-from tests.conftest import WIRES, Serve
+from tests.conftest import Serve
+from tests.serving import WIRES
 
 CYCLE = 0.002
 

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import subprocess
-import sys
-import tempfile
 from collections.abc import Generator
 from pathlib import Path
 
-from tests.conftest import ROOT
 from tests.faults.proxy import WIRES
+from tests.serving import serve
 
 __all__ = ["served"]
 
@@ -21,14 +18,6 @@ def served(wire: str, state: Path | None = None) -> Generator[list[str]]:
     arguments = WIRES["modbus-tcp"].serve
     if wire != "modbus-tcp":
         arguments += WIRES[wire].serve
-    with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "commissioning", "virtual", "serve", "bench", *arguments]
-        with subprocess.Popen(
-            [*command, "--clock", "step", "--state", str(state or Path(folder) / "drive.json")],
-            stdout=subprocess.PIPE, text=True, cwd=ROOT,
-        ) as server:  # fmt: skip
-            assert server.stdout is not None
-            try:
-                yield [server.stdout.readline().strip() for _ in range(len(arguments) // 2)]
-            finally:
-                server.terminate()
+    links = len(arguments) // 2
+    with serve("bench", *arguments, "--clock", "step", links=links, state=state) as found:
+        yield found

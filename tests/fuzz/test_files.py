@@ -19,7 +19,7 @@ from profiles.library import builtin_names, check, digest, load_profile
 from profiles.schema import Profile
 from profiles.table import from_table, read_csv
 from profiles.toml_files import parse_model
-from tests.conftest import ROOT
+from tests.command import ROOT
 from tests.fuzz.mutation import fuzzed, mutated
 
 BUILTIN = ROOT / "profiles" / "builtin"

@@ -13,7 +13,8 @@ import jsonschema
 import numpy as np
 import pytest
 
-from tests.conftest import ROOT, Tworelay
+from tests.command import ROOT
+from tests.conftest import Tworelay
 from tests.identification.spoiled import relay_tests
 
 SCHEMA = json.loads((ROOT / "docs" / "run.schema.json").read_text("utf-8"))

@@ -17,7 +17,10 @@ from drivers.drive import Drive
 from drivers.link import axis_of, open_drive
 from profiles.library import source_text
 from profiles.schema import Mode
-from tests.conftest import WIRES, Serve, Tworelay, real_time, running
+from tests.command import running
+from tests.conftest import Serve, Tworelay
+from tests.punctual import real_time
+from tests.serving import WIRES
 
 TRAVEL = ("--travel", "3", "--yes")
 # in real time, on test machines that stall

@@ -11,7 +11,9 @@ from collections.abc import Generator
 import can
 import pytest
 
-from tests.conftest import WIRES, Serve, Tworelay, real_time
+from tests.conftest import Serve, Tworelay
+from tests.punctual import real_time
+from tests.serving import WIRES
 
 PERIOD = 0.01  # s
 

@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 
 from drivers.link import axis_of, open_drive
-from tests.conftest import WIRES, Serve, Tworelay, real_time
+from tests.conftest import Serve, Tworelay
+from tests.punctual import real_time
+from tests.serving import WIRES
 
 PATIENT = ("--watchdog", "0.2")  # test machines stall
 

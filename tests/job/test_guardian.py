@@ -15,7 +15,10 @@ from drivers.home import home
 from drivers.link import open_drive
 from profiles.axis import Axis
 from profiles.errors import LinkError
-from tests.conftest import WIRES, Serve, Tworelay, real_time, running
+from tests.command import running
+from tests.conftest import Serve, Tworelay
+from tests.punctual import real_time
+from tests.serving import WIRES
 
 pytestmark = [real_time, pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")]
 

@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import WIRES, Serve, Tworelay, real_time
+from tests.conftest import Serve, Tworelay
+from tests.punctual import real_time
+from tests.serving import WIRES
 
 
 def findings(tworelay: Tworelay, *arguments: str) -> tuple[int, list[dict[str, Any]]]:

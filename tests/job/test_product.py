@@ -15,7 +15,9 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from tests.conftest import ROOT, WIRES, Serve, Tworelay
+from tests.command import ROOT
+from tests.conftest import Serve, Tworelay
+from tests.serving import WIRES
 
 SCHEMA = json.loads((ROOT / "docs" / "run.schema.json").read_text("utf-8"))
 

@@ -10,7 +10,9 @@ import textwrap
 from pathlib import Path
 
 from drivers.link import axis_of, open_drive
-from tests.conftest import ROOT, WIRES, Serve, Tworelay
+from tests.command import ROOT
+from tests.conftest import Serve, Tworelay
+from tests.serving import WIRES
 
 FAILING_STORE = textwrap.dedent(
     """

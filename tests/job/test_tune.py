@@ -11,7 +11,8 @@ import pytest
 
 from drivers.link import axis_of, open_drive
 from profiles.library import source_text
-from tests.conftest import ROOT, Serve, Tworelay
+from tests.command import ROOT
+from tests.conftest import Serve, Tworelay
 
 SCHEMA = json.loads((ROOT / "docs" / "run.schema.json").read_text())
 

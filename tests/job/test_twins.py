@@ -16,7 +16,8 @@ from drivers.link import axis_of, modbus_wire, open_drive, parse
 from drivers.modbus.client import Client
 from profiles.axis import Axis, load_axis
 from profiles.library import builtin_names, load_profile
-from tests.conftest import ROOT, Serve, Tworelay
+from tests.command import ROOT
+from tests.conftest import Serve, Tworelay
 
 REAL = [name for name in builtin_names() if load_profile(name).status != "virtual"]
 PROFILES = [name for name in REAL if load_profile(name).moves]

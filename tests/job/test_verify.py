@@ -14,7 +14,10 @@ import pytest
 from commissioning.journal import Journal
 from drivers.home import home
 from drivers.link import axis_of, open_drive
-from tests.conftest import ROOT, WIRES, Serve, Tworelay, real_time, running
+from tests.command import ROOT, running
+from tests.conftest import Serve, Tworelay
+from tests.punctual import real_time
+from tests.serving import WIRES
 
 SCHEMA = json.loads((ROOT / "docs/run.schema.json").read_text())
 NAMES = ("coulomb_positive", "coulomb_negative", "viscous_gain", "torque_offset")

@@ -12,7 +12,8 @@ from profiles.eds import parse_eds, read_eds
 from profiles.errors import ProfileError
 from profiles.library import check, draft_from_eds, load_profile
 from profiles.schema import CanopenAddress, Mode
-from tests.conftest import ROOT, Tworelay
+from tests.command import ROOT
+from tests.conftest import Tworelay
 
 DATA = ROOT.parent / "shared" / "data" / "eds"
 real_files = pytest.mark.skipif(not DATA.exists(), reason="the drives' own files are not here")

@@ -10,7 +10,7 @@ import pytest
 
 from profiles.json_schema import json_schema
 from profiles.library import builtin_names
-from tests.conftest import ROOT
+from tests.command import ROOT
 
 SCHEMA = json.loads((ROOT / "docs" / "profile.schema.json").read_text("utf-8"))
 

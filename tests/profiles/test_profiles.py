@@ -17,7 +17,7 @@ from profiles.library import (
     source_text,
 )
 from profiles.schema import CompensationLaw, Identity
-from tests.conftest import ROOT
+from tests.command import ROOT
 
 TEXT = source_text("virtual-modbus")
 

@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import ROOT, Tworelay
+from tests.command import ROOT
+from tests.conftest import Tworelay
 
 RECORDINGS = ROOT.parent / "shared" / "data" / "recordings"
 pytestmark = pytest.mark.skipif(

@@ -254,7 +254,9 @@ def critical_point() -> list[str]:
             off = [abs(x) for o in mine for x in o.margins.get(loop, [])]
             cells.append(f"{max(off):.2f}" if off else "–")
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    margins = {loop: [x for o in done for x in o.margins.get(loop, [])] for loop in ("host", "drive")}
+    margins = {
+        loop: [x for o in done for x in o.margins.get(loop, [])] for loop in ("host", "drive")
+    }
     lines += ["", "Phase margins predicted against simulated, degrees, median / worst: "]
     lines += [f"{loop} {spread(values)} of {len(values)} sets" for loop, values in margins.items()]
     refused = [o for o in outcomes if o.refused]

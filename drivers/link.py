@@ -275,7 +275,7 @@ def modbus_wire(link: Link, profile: Profile | None) -> Wire:
             )
         baudrate = link.integer("baudrate", 1200, 4_000_000) or (defaults and defaults.baudrate)
         stopbits = link.integer("stopbits", 1, 2) or (defaults and defaults.stopbits)
-        return RtuLine(port, baudrate or _BAUDRATE, parity, stopbits or 1, gap)
+        return RtuLine(port, baudrate or _BAUDRATE, parity, stopbits or 1, gap, stepping)
     secure = link.scheme == "modbus-tls"
     _only(link, common | ({"ca", "cert", "key"} if secure else set()))
     host, colon, port = link.place.rstrip("/").rpartition(":")

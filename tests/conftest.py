@@ -6,9 +6,11 @@ import contextlib
 import gc
 import itertools
 import os
+import shutil
 import subprocess
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -50,10 +52,19 @@ def no_leaks() -> Iterator[None]:
     """A test leaves no thread and no socket behind."""
     threads, descriptors = set(threading.enumerate()), _descriptors()
     yield
-    gc.collect()
+    if _descriptors() - descriptors:
+        gc.collect()  # cycles of garbage may hold them
     left = [t.name for t in threading.enumerate() if t not in threads and t.is_alive()]
     assert not left, f"threads left: {left}"
     assert not (more := _descriptors() - descriptors), f"descriptors left: {more}"
+
+
+@dataclass(frozen=True)
+class Home:
+    """State that a command left, and what it said."""
+
+    folder: Path
+    said: subprocess.CompletedProcess[str]
 
 
 Serve = Callable[..., list[str]]
@@ -80,14 +91,6 @@ def wire(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-@pytest.fixture(params=["modbus-tcp", "socketcand", "slcan"])
-def live_wire(request: pytest.FixtureRequest) -> str:
-    """The wires that are tried in real time, too."""
-    if request.param == "slcan" and os.name == "nt":
-        pytest.skip("no pseudo-terminals on Windows")
-    return str(request.param)
-
-
 Tworelay = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
@@ -95,3 +98,27 @@ Tworelay = Callable[..., "subprocess.CompletedProcess[str]"]
 def tworelay() -> Tworelay:
     """Run the command line in this process; returns its exit code and its texts."""
     return in_this_process
+
+
+@pytest.fixture(scope="session")
+def homes() -> dict[tuple[str, ...], Home]:
+    """What commands left, and said, that tests begin with."""
+    return {}
+
+
+@pytest.fixture
+def after(
+    state_folder: Path, homes: dict[tuple[str, ...], Home], tmp_path_factory: pytest.TempPathFactory
+) -> Tworelay:
+    """Begin after a command on a virtual:// axis, which is run once a session; returns what it said."""
+
+    def begin(*arguments: str) -> subprocess.CompletedProcess[str]:
+        if arguments not in homes:
+            home = tmp_path_factory.mktemp("home")
+            said = in_this_process(*arguments, environment={"TWORELAY_HOME": str(home)})
+            homes[arguments] = Home(home, said)
+        kept = homes[arguments]
+        shutil.copytree(kept.folder, state_folder)
+        return kept.said
+
+    return begin

@@ -43,7 +43,11 @@ def judged(attempt: Try, witness: Witness) -> list[pytest.TestReport]:
     for report in reports:
         if report.failed:
             report.outcome = "skipped"
-            report.longrepr = (str(report.fspath), report.location[1] or 0, f"{TRIES} times: {late}")
+            report.longrepr = (
+                str(report.fspath),
+                report.location[1] or 0,
+                f"{TRIES} times: {late}",
+            )
     return reports
 
 
@@ -55,7 +59,9 @@ class Punctual:
         self._processes = contextlib.ExitStack()
 
     @pytest.hookimpl(tryfirst=True)
-    def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
+    def pytest_runtest_protocol(
+        self, item: pytest.Item, nextitem: pytest.Item | None
+    ) -> bool | None:
         """Run one test in real time."""
         if item.get_closest_marker("real_time") is None:
             return None

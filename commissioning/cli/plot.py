@@ -40,6 +40,8 @@ def loci(run: str, amplitude: float | None, hysteresis: float | None, output: st
     Figures 4, 5 and 6 of Blaha's thesis: over the amplitude d without hysteresis, over d with one, and
     over the hysteresis.
     """
+    import numpy as np
+
     from commissioning.journal import Journal
     from commissioning.report.figures import loci as draw
     from commissioning.runs import resolve
@@ -55,7 +57,8 @@ def loci(run: str, amplitude: float | None, hysteresis: float | None, output: st
     if target.suffix not in _FORMATS:
         raise UsageError(f"--output {target}: must end with {', '.join(_FORMATS)}")
     try:
-        draw(result, amplitude, hysteresis).savefig(target, dpi=150)
+        with np.errstate(divide="raise", invalid="raise"):
+            draw(result, amplitude, hysteresis).savefig(target, dpi=150)
     except OSError as error:
         raise UsageError(f"{target}: cannot be written: {error.strerror}") from None
     except (KeyError, TypeError, IndexError, ArithmeticError, ValueError) as error:

@@ -19,9 +19,11 @@ def render(result: dict[str, Any], samples: Samples | None, journal: dict[str, A
     Raises UsageError when the result is not what tworelay writes.
     """
     import jinja2
+    import numpy as np
 
     try:
-        return _render(result, samples, journal)
+        with np.errstate(divide="raise", invalid="raise"):
+            return _render(result, samples, journal)
     except (jinja2.UndefinedError, LookupError, TypeError, ValueError, ArithmeticError) as error:
         raise UsageError(
             f"run {result.get('run')}: its run.json is damaged or not ours "

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from math import isfinite, pi
 from typing import Any
 
+import numpy as np
+
 from commissioning.identification.critical_point import CriticalPoint
 from commissioning.runs import resolve
 from commissioning.session.apply import axis_of_run
@@ -66,7 +68,8 @@ def tune(result: dict[str, Any], axis: Axis, profile: Profile, drive: DriveLoop)
             "proposed; identify the axis again"
         )
     try:
-        return _tune(result, axis, profile, drive)
+        with np.errstate(divide="raise", invalid="raise"):
+            return _tune(result, axis, profile, drive)
     except (KeyError, TypeError, IndexError, ArithmeticError, ValueError) as error:
         raise UsageError(
             f"run {run}: lacks what tuning needs ({type(error).__name__}: {error}); identify the axis "

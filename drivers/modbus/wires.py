@@ -74,6 +74,7 @@ class RtuLine:
     parity : N, E or O
     stopbits : 1 or 2
     gap : s of silence between frames that the drive wants; 0: the standard's 3.5 characters
+    stepping : behind it is a virtual drive that steps, which listens for no silence
     """
 
     port: str
@@ -81,6 +82,7 @@ class RtuLine:
     parity: str = "N"
     stopbits: int = 1
     gap: float = 0.0
+    stepping: bool = False
 
     @property
     def character(self) -> float:
@@ -91,6 +93,8 @@ class RtuLine:
     @property
     def silence(self) -> float:
         """Time between two frames, s."""
+        if self.stepping:
+            return 0.0
         standard = _FAST_SILENCE if self.baudrate > _FAST else 3.5 * self.character
         return max(standard, self.gap)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from math import cos, pi, sin
 from typing import Any
 
@@ -23,14 +24,24 @@ from drivers.virtual.axes import AXES, configured
 from profiles.axis import Mechanics
 
 Identify = Callable[..., dict[str, Any]]
+one_worker = pytest.mark.xdist_group("franka")  # its run is a long one, and serves twice
+
+
+@pytest.fixture(scope="session")
+def measured() -> dict[str, dict[str, Any]]:
+    """Results by what was asked: a virtual axis gives the same ones each time."""
+    return {}
 
 
 @pytest.fixture
-def run() -> Identify:
+def run(measured: dict[str, dict[str, Any]]) -> Identify:
     def measure(link: str, **options: Any) -> dict[str, Any]:
-        with Journal(home()) as journal, Interruption() as interruption:
-            desk = Desk(journal, interruption, lambda text: None, lambda q, w: True)
-            return identify(axis_of(link), Options(**options), desk)
+        asked = f"{link} {options}"
+        if asked not in measured:
+            with Journal(home()) as journal, Interruption() as interruption:
+                desk = Desk(journal, interruption, lambda text: None, lambda q, w: True)
+                measured[asked] = identify(axis_of(link), Options(**options), desk)
+        return deepcopy(measured[asked])
 
     return measure
 
@@ -42,7 +53,7 @@ RIGID = sorted(set(AXES) - {"franka", "openarm", "tree"})
 def test_auto_finds_everything_within_1_percent(run: Identify, name: str) -> None:
     # the preloaded screw takes half of the rated torque: its tests need more
     torque = 0.02 if name == "epos-antibacklash" else None
-    result = run(f"virtual://{name}", max_torque=torque)
+    result = run(f"virtual://{name}", **({"max_torque": torque} if torque else {}))
     friction, truth = result["friction"], AXES[name]
     assert friction["method"] == "modulating"
     assert friction["coulomb"]["value"] == pytest.approx(truth.coulomb, rel=0.01)
@@ -69,7 +80,7 @@ def test_auto_takes_a_dozen_periods_of_a_rigid_axis(run: Identify) -> None:
     ("link", "rung", "words"),
     [
         ("virtual://epos-screw", "stribeck", "Stribeck effect"),
-        ("virtual://franka", "soft", "soft friction"),
+        pytest.param("virtual://franka", "soft", "soft friction", marks=one_worker),
         ("virtual://erob", "load", "friction grows with the torque"),
         ("virtual://bench?cogging=0.01&travel=6", "position", "position-dependent"),
     ],
@@ -83,6 +94,7 @@ def test_friction_that_is_not_coulomb_friction_is_recognised_and_said(
     assert any(words in reason for reason in result["quality"]["reasons"])
 
 
+@one_worker
 def test_soft_friction_has_the_level_of_its_sigmoid(run: Identify) -> None:
     """Gaz et al. 2019, joint 1: 0.546/2 N.m, reached over 2/5.1 rad/s."""
     result = run("virtual://franka")

@@ -27,22 +27,14 @@ name = "unwatched"
 [watchdog]
 kind = "none"
 """
-HURRY = (
-    "--travel",
-    "20",
-    "--yes",
-    "--cycle",
-    "0.01",
-    "--without-watchdog",
-    "--method",
-    "two-relay",
-)
+LONG = (
+    "--travel", "20", "--yes", "--cycle", "0.004", "--without-watchdog", "--method", "two-relay",
+)  # fmt: skip
 
 
-@pytest.fixture(params=["modbus-tcp", "modbus-rtu", "slcan", "socketcand"])
-def unwatched(request: pytest.FixtureRequest, serve: Serve, tmp_path: Path) -> Axis:
-    """An axis whose drive would go on for ever, on each wire that crosses processes."""
-    (link,) = serve("bench", *WIRES[request.param])
+def unwatched(serve: Serve, tmp_path: Path, wire: str) -> Axis:
+    """An axis whose drive would go on for ever."""
+    (link,) = serve("bench", *WIRES[wire])
     base = "virtual-canopen" if link.startswith("canopen") else "virtual-modbus"
     profile = tmp_path / "unwatched.toml"
     profile.write_text(WITHOUT.format(base=base))
@@ -61,10 +53,10 @@ def wait_for(process: subprocess.Popen[str], words: str) -> None:
     pytest.fail(f"'{words}' never came: {process.stderr.read()}")
 
 
-def in_motion(tmp_path: Path, axis: Axis) -> list[str]:
+def in_motion(axis: Axis) -> list[str]:
     assert axis.link is not None
     assert axis.profile is not None
-    return ["identify", axis.link, "--profile", axis.profile, *HURRY]
+    return ["identify", axis.link, "--profile", axis.profile, *LONG]
 
 
 def left_energised(axis: Axis) -> bool:
@@ -97,28 +89,27 @@ def guardian_s_word() -> str:
     return ""
 
 
+@pytest.mark.parametrize("wire", ["modbus-tcp", "slcan"])
 def test_the_loop_is_killed_and_the_axis_is_stopped(
-    unwatched: Axis, tworelay: Tworelay, tmp_path: Path
+    serve: Serve, tworelay: Tworelay, tmp_path: Path, wire: str
 ) -> None:
-    with running(*in_motion(tmp_path, unwatched)) as process:
+    """By a second connection, and by the inherited descriptor of an exclusive port."""
+    axis = unwatched(serve, tmp_path, wire)
+    with running(*in_motion(axis)) as process:
         wait_for(process, "staging")
         process.kill()
         process.wait(10)
     assert "guardian: the loop has died" in guardian_s_word()
-    assert not left_energised(unwatched)
+    assert not left_energised(axis)
     assert tworelay("restore").returncode == 0
 
 
-def test_the_loop_is_frozen_and_the_axis_is_stopped(
-    unwatched: Axis, tworelay: Tworelay, tmp_path: Path
-) -> None:
-    assert unwatched.link is not None
-    if not unwatched.link.startswith(("modbus-tcp", "canopen://socketcand")):
-        pytest.skip("while it lives, it owns the port: nobody else can look")
-    with running(*in_motion(tmp_path, unwatched)) as process:
+def test_the_loop_is_frozen_and_the_axis_is_stopped(serve: Serve, tmp_path: Path) -> None:
+    axis = unwatched(serve, tmp_path, "modbus-tcp")
+    with running(*in_motion(axis)) as process:
         wait_for(process, "staging")
         process.send_signal(signal.SIGSTOP)
-        assert not left_energised(unwatched)
+        assert not left_energised(axis)
         process.send_signal(signal.SIGCONT)
         _, errors = process.communicate(timeout=30)
     assert process.returncode in (4, 5), errors

@@ -87,8 +87,10 @@ class _Resources(HTMLParser):
         self.text.append(data)
 
 
-def test_the_report_is_one_file_that_needs_nothing_else(tworelay: Tworelay) -> None:
-    assert tworelay("commission", "virtual://bench", "--yes").returncode == 0
+def test_the_report_is_one_file_that_needs_nothing_else(
+    tworelay: Tworelay, after: Tworelay
+) -> None:
+    assert after("commission", "virtual://bench", "--yes").returncode == 0
     path = Path(tworelay("report", "last").stdout.strip())
     page = _Resources()
     page.feed(path.read_text("utf-8"))
@@ -107,9 +109,9 @@ def test_the_report_is_one_file_that_needs_nothing_else(tworelay: Tworelay) -> N
 
 
 def test_what_comes_from_outside_is_escaped_in_the_report(
-    tworelay: Tworelay, tmp_path: Path
+    tworelay: Tworelay, after: Tworelay, tmp_path: Path
 ) -> None:
-    assert tworelay("commission", "virtual://bench", "--yes").returncode == 0
+    assert after("commission", "virtual://bench", "--yes").returncode == 0
     folder = tmp_path / "exported"
     assert tworelay("export", "last", str(folder)).returncode == 0
     result = json.loads((folder / "run.json").read_text())

@@ -14,6 +14,7 @@ from tests.command import ROOT
 from tests.conftest import Serve, Tworelay
 from tests.serving import WIRES
 
+QUICK = ("--travel", "20", "--cycle", "0.004", "--yes")  # few exchanges over the wire
 FAILING_STORE = textwrap.dedent(
     """
     import sys
@@ -45,7 +46,7 @@ def test_a_store_that_failed_is_done_again(
         assert done.returncode == 7, done.stderr
         assert "worn out" in done.stderr
 
-    assert tworelay("identify", link, "--travel", "3", "--yes").returncode == 0
+    assert tworelay("identify", link, *QUICK).returncode == 0
     told = tmp_path / "result.json"
     with_broken_store("apply", "last", "--yes", "--json", str(told))
     assert json.loads(told.read_text())["status"] == "failed", "JSON on every exit from 3 up"
@@ -62,7 +63,7 @@ def test_restore_refuses_a_value_that_somebody_changed_since(
     tworelay: Tworelay, serve: Serve
 ) -> None:
     link = serve("bench", *WIRES["modbus-tcp"], "--clock", "step")[0]
-    assert tworelay("commission", link, "--travel", "3", "--yes").returncode == 0
+    assert tworelay("commission", link, *QUICK).returncode == 0
     drive = open_drive(axis_of(link))
     drive.write_raw("coulomb_positive", 42)
     drive.close()
@@ -76,7 +77,7 @@ def test_an_exported_run_is_a_run(
     tworelay: Tworelay, serve: Serve, tmp_path: os.PathLike[str]
 ) -> None:
     link = serve("bench", *WIRES["modbus-tcp"], "--clock", "step")[0]
-    assert tworelay("commission", link, "--travel", "3", "--yes").returncode == 0
+    assert tworelay("commission", link, *QUICK).returncode == 0
     folder = os.path.join(tmp_path, "exported")  # noqa: PTH118
     exported = tworelay("export", "last", folder)
     assert exported.returncode == 0

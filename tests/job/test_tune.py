@@ -28,8 +28,8 @@ def refused(done: Any, code: int, words: str) -> None:
 
 
 @pytest.fixture
-def tuned(tworelay: Tworelay) -> dict[str, Any]:
-    done = tworelay("tune", "virtual://bench", "--yes", "--json", "-")
+def tuned(after: Tworelay) -> dict[str, Any]:
+    done = after("tune", "virtual://bench", "--yes", "--json", "-")
     assert done.returncode == 0, done.stderr
     found: dict[str, Any] = json.loads(done.stdout)
     return found
@@ -101,8 +101,10 @@ def test_gains_that_are_not_proposed_or_not_mapped_are_refused(
     refused(tworelay("apply", run, "--gains", "magic", "--yes"), 2, "no rule with gains")
 
 
-def test_a_run_that_was_not_tuned_has_no_gains_to_write(tworelay: Tworelay) -> None:
-    assert tworelay("identify", "virtual://bench", "--yes").returncode == 0
+def test_a_run_that_was_not_tuned_has_no_gains_to_write(
+    tworelay: Tworelay, after: Tworelay
+) -> None:
+    assert after("identify", "virtual://bench", "--yes").returncode == 0
     refused(tworelay("apply", "last", "--gains", "cascade", "--yes"), 3, "'tworelay tune")
 
 

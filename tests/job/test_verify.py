@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 from pathlib import Path
 from typing import Any
@@ -14,9 +13,9 @@ import pytest
 from commissioning.journal import Journal
 from drivers.home import home
 from drivers.link import axis_of, open_drive
-from tests.command import ROOT, running
+from tests.command import ROOT
 from tests.conftest import Serve, Tworelay
-from tests.punctual import real_time
+from tests.interrupting import signalled
 from tests.serving import WIRES
 
 SCHEMA = json.loads((ROOT / "docs/run.schema.json").read_text())
@@ -33,10 +32,7 @@ def values(link: str) -> list[int]:
 
 
 def identified(tworelay: Tworelay, link: str) -> dict[str, Any]:
-    patient = (
-        ("--cycle", "0.01", "--watchdog", "0.2") if "clock=wall" in link else ("--cycle", "0.004")
-    )
-    done = tworelay("identify", link, "--travel", "20", "--yes", "--json", "-", *patient)
+    done = tworelay("identify", link, "--travel", "20", "--cycle", "0.004", "--yes", "--json", "-")
     assert done.returncode == 0, done.stderr
     result: dict[str, Any] = json.loads(done.stdout)
     return result
@@ -70,7 +66,9 @@ def test_what_helps_stays_and_is_stored(serve: Serve, tworelay: Tworelay, tmp_pa
 def test_what_makes_no_difference_does_not_stay(serve: Serve, tworelay: Tworelay) -> None:
     """4096 counts a turn: its following error is the encoder's, not friction's."""
     (link,) = serve("mx106", *WIRES["modbus-tcp"], "--clock", "step")
-    done = tworelay("commission", link, "--travel", "3.14", "--yes", "--json", "-")
+    done = tworelay(
+        "commission", link, "--travel", "3.14", "--cycle", "0.004", "--yes", "--json", "-"
+    )
     assert done.returncode == 7
     assert "the compensation does not help: error after reversals" in done.stderr
     assert "the values from before the run are back in the drive" in done.stderr
@@ -81,22 +79,17 @@ def test_what_makes_no_difference_does_not_stay(serve: Serve, tworelay: Tworelay
     assert result["verification"]["kept_fraction"] is None
 
 
-@real_time
-@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("cycles", [100, 5000])  # without compensation; with some of it written
 def test_interrupted_in_mid_step_the_drive_has_what_it_had(
-    serve: Serve, tworelay: Tworelay
+    serve: Serve, tworelay: Tworelay, cycles: int
 ) -> None:
-    (link,) = serve("bench", *WIRES["modbus-tcp"])
-    run = identified(tworelay, f"{link}&clock=wall")["run"]
-    with running("verify", run, "--yes", "--cycle", "0.01") as process:
-        assert process.stdout is not None
-        for line in process.stdout:
-            if "without compensation" in line:
-                break
-        process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130, errors
-    assert "interrupted by SIGINT" in errors
+    (link,) = serve("bench", *WIRES["modbus-tcp"], "--clock", "step")
+    run = identified(tworelay, link)["run"]
+    with signalled(signal.SIGINT, cycles):
+        done = tworelay("verify", run, "--yes", "--cycle", "0.004")
+    assert done.returncode == 130, done.stderr
+    assert "interrupted by SIGINT" in done.stderr
+    assert ("50 %" in done.stdout) is (cycles > 1000)
     assert values(link) == [0, 0, 0, 0]
 
 

@@ -28,7 +28,11 @@ _WARM = [
     "drivers.virtual.modbus_server", "drivers.virtual.canopen_node", "profiles.library",
 ]  # fmt: skip
 
-_CONTEXT = multiprocessing.get_context("forkserver" if hasattr(os, "fork") else "spawn")
+_CONTEXT = (
+    multiprocessing.get_context("forkserver")
+    if hasattr(os, "fork")
+    else multiprocessing.get_context("spawn")
+)
 _CONTEXT.set_forkserver_preload(_WARM)
 
 

@@ -1,7 +1,8 @@
 """A process beside the loop, with a way of its own to the drive, that stops it when the loop falls silent.
 
 Where the bus allows a second connection, the guardian has one. On a port that has one owner it holds the
-inherited descriptor, writes nothing while it is fed, and sends the drive's stop frames when it is not.
+inherited descriptor, writes nothing while it is fed, and sends the drive's stop frames when it is not. Where
+a process cannot inherit a port (Windows), it owns it, and the loop speaks through it.
 """
 
 from __future__ import annotations
@@ -9,29 +10,51 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import queue
+import secrets
+import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from commissioning.processes import start
 from drivers.drive import Drive
 from profiles.axis import Axis
 from profiles.errors import DriveFault, PreflightRefused
+
+if TYPE_CHECKING:
+    from drivers.serial_port import LentPort, SerialPort
 
 __all__ = ["NOBODY", "Guardian", "guarded"]
 
 _CYCLES, _SILENCE = 10, 0.25  # silence of the loop that is too long: cycles, and s at least
 _READY = 15.0  # s to start in
+INHERITS = sys.platform != "win32"  # a child process can be given an open port
 ARM, FEED, REST, DISMISS = b"a", b".", b"r", b"q"
 
 
 class Guardian:
-    """The loop's end of the line; without a process it does nothing."""
+    """The loop's end of the line; without a process it does nothing.
 
-    def __init__(self, process: subprocess.Popen[bytes] | None = None) -> None:
+    Parameters
+    ----------
+    process : the guardian's
+    reclaim : takes the port back that it owns, once it has ended
+    """
+
+    def __init__(
+        self,
+        process: subprocess.Popen[bytes] | None = None,
+        reclaim: Callable[[], None] | None = None,
+    ) -> None:
         self._process = process
-        self._line = -1 if process is None or process.stdin is None else process.stdin.fileno()
+        self._reclaim = reclaim
+        self._write: Callable[[bytes], object] | None = None
+        if process is not None and process.stdin is not None:
+            self._write = _never_waiting(process.stdin.fileno())
 
     def arm(self) -> None:
         """From now on silence is a failure."""
@@ -47,18 +70,30 @@ class Guardian:
             self._say(REST)
 
     def _say(self, word: bytes) -> None:
-        if self._line < 0:
+        if self._write is None:
             return
         try:
-            os.write(self._line, word)
+            self._write(word)
         except BlockingIOError:
             pass  # it has enough to read
         except OSError:
-            self._line = -1
+            self._write = None
             raise DriveFault(
                 "the guardian process has ended, so nothing would stop the axis if this computer failed; "
-                "the axis was stopped"
+                f"the axis was stopped{self._taken_back()}"
             ) from None
+
+    def _taken_back(self) -> str:
+        """What became of the port that the guardian owned."""
+        if self._reclaim is None:
+            return ""
+        try:
+            self._reclaim()
+        except OSError as error:
+            return (
+                f", by no way that is verified: the guardian's port cannot be opened here ({error})"
+            )
+        return " through its port, which was opened here"
 
     def dismiss(self) -> None:
         """It is no longer needed."""
@@ -67,7 +102,7 @@ class Guardian:
             return
         with contextlib.suppress(DriveFault):
             self._say(DISMISS)
-        self._line = -1
+        self._write = None
         for stream in (process.stdin, process.stdout):
             if stream is not None:
                 with contextlib.suppress(OSError):
@@ -91,55 +126,96 @@ def guarded(drive: Drive, axis: Axis, profile: Path, run: str, home: Path) -> Ge
     if not drive.in_real_time:
         yield NOBODY
         return
-    try:
-        guardian = Guardian(_start(drive, axis, profile, run, home))
-    except (OSError, RuntimeError) as error:
-        if drive.profile.watchdog.kind == "none":
-            raise PreflightRefused(
-                f"no guardian process can be started ({error}), and the drive has no watchdog: nothing "
-                "would stop the axis if this computer failed"
-            ) from None
-        guardian = Guardian()
-    try:
+    with contextlib.ExitStack() as stack:
+        try:
+            guardian = _started(drive, axis, profile, run, home, stack)
+        except (OSError, RuntimeError) as error:
+            if drive.profile.watchdog.kind == "none":
+                raise PreflightRefused(
+                    f"no guardian process can be started ({error}), and the drive has no watchdog: nothing "
+                    "would stop the axis if this computer failed"
+                ) from None
+            guardian = Guardian()
         yield guardian
-    finally:
-        guardian.dismiss()
 
 
-def _start(
-    drive: Drive, axis: Axis, profile: Path, run: str, home: Path
-) -> subprocess.Popen[bytes]:
+def _started(
+    drive: Drive, axis: Axis, profile: Path, run: str, home: Path, stack: contextlib.ExitStack
+) -> Guardian:
+    """The guardian, dismissed with `stack`; raises OSError, RuntimeError."""
     frames = drive.stop_frames()
-    descriptor = None if frames is None else frames.descriptor
-    if descriptor is not None and os.name == "nt":
-        raise RuntimeError("Windows lends no serial port to a second process")
+    there = axis.model_copy(update={"link": drive.link, "profile": str(profile)})
     order = {
-        "axis": axis.model_copy(update={"link": drive.link, "profile": str(profile)}).model_dump(
-            mode="json"
-        ),
+        "axis": there.model_dump(mode="json"),
         "limit": max(_CYCLES * drive.cycle, _SILENCE),
-        "descriptor": descriptor,
         "frames": [] if frames is None else [(f.hex(), pause) for f, pause in frames.frames],
         "run": run,
         "home": str(home),
     }
-    process = subprocess.Popen(
-        [sys.executable, "-m", "commissioning.guardian_process"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        pass_fds=() if descriptor is None else (descriptor,),
-        start_new_session=True,  # a Ctrl-C is not for it
-    )
+    if frames is None:
+        guardian = Guardian(_process(order)[0])
+        stack.callback(guardian.dismiss)
+    elif INHERITS:
+        order["descriptor"] = frames.descriptor
+        guardian = Guardian(_process(order, (frames.descriptor,))[0])
+        stack.callback(guardian.dismiss)
+    elif frames.port is None:
+        raise RuntimeError("this system lends no connection to a second process")
+    else:
+        guardian = stack.enter_context(_lending(drive, frames.port, order))
+    return guardian
+
+
+@contextlib.contextmanager
+def _lending(drive: Drive, port: SerialPort, order: dict[str, object]) -> Generator[Guardian]:
+    """A guardian that owns the drive's port, through which the loop speaks meanwhile."""
+    token = secrets.token_hex(16)
+    order |= {
+        "port": [port.device, port.baudrate, port.parity, port.stopbits], "token": token,
+    }  # fmt: skip
+    drive.speak_through(None)
+    guardian = Guardian()
+    try:
+        process, place = _process(order)
+        guardian = Guardian(process)
+        lent = _through(int(place), token, port)
+        guardian = Guardian(process, lent.reclaim)
+        drive.speak_through(lent)
+        yield guardian
+    finally:
+        guardian.dismiss()
+        drive.speak_through(None)
+        with contextlib.suppress(OSError):  # a port that is gone shows at the next word
+            drive.speak_through(port.open_when_free())
+
+
+def _through(place: int, token: str, port: SerialPort) -> LentPort:
+    """The port, through the guardian that listens on `place` of this computer alone."""
+    from drivers.serial_port import LentPort
+
+    link = socket.create_connection(("127.0.0.1", place), _READY)
+    link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    link.settimeout(None)
+    link.sendall(token.encode())
+    return LentPort(link, port)
+
+
+def _process(
+    order: dict[str, object], descriptors: tuple[int, ...] = ()
+) -> tuple[subprocess.Popen[bytes], str]:
+    """The guardian's process, ready, and what it said beside; raises RuntimeError."""
+    process = start(
+        "commissioning.guardian_process",
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=descriptors,
+    )  # fmt: skip
     assert process.stdin is not None
-    assert process.stdout is not None
     process.stdin.write(json.dumps(order).encode() + b"\n")
     process.stdin.flush()
-    os.set_blocking(process.stdin.fileno(), False)
-    answer = _line_within(process, _READY)
-    if answer != b"ready\n":
+    answer = _line_within(process, _READY).decode("utf-8", "replace").strip()
+    if answer.split(" ")[0] != "ready":
         Guardian(process).dismiss()
-        raise RuntimeError(answer.decode("utf-8", "replace").strip() or "it does not answer")
-    return process
+        raise RuntimeError(answer or "it does not answer")
+    return process, answer.removeprefix("ready").strip()
 
 
 def _line_within(process: subprocess.Popen[bytes], seconds: float) -> bytes:
@@ -152,3 +228,37 @@ def _line_within(process: subprocess.Popen[bytes], seconds: float) -> bytes:
     finally:
         timer.cancel()
         timer.join()
+
+
+def _never_waiting(descriptor: int) -> Callable[[bytes], object]:
+    """Write to a pipe; a full one raises BlockingIOError, or fills in the background."""
+    if sys.platform == "win32" and sys.version_info < (3, 12):
+        return _Background(descriptor).put
+    os.set_blocking(descriptor, False)
+    return lambda word: os.write(descriptor, word)
+
+
+class _Background:
+    """Writes to a pipe from a thread of its own, where a pipe cannot be told not to wait."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._words: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._is_broken = False
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def put(self, word: bytes) -> None:
+        """One word more; raises BrokenPipeError once nobody reads."""
+        if self._is_broken:
+            raise BrokenPipeError
+        self._words.put(word)
+
+    def _run(self) -> None:
+        word = b""
+        while word != DISMISS:
+            word = self._words.get()
+            try:
+                os.write(self._descriptor, word)
+            except OSError:
+                self._is_broken = True
+                return

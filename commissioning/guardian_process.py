@@ -6,32 +6,44 @@ import contextlib
 import json
 import os
 import queue
+import socket
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from commissioning.guardian import ARM, DISMISS, REST
 from commissioning.journal import Journal
 from drivers.drive import Drive, StopReport
+from drivers.serial_port import SerialPort, pass_on
 from profiles.axis import Axis
 from profiles.errors import TwoRelayError
 
 __all__ = ["main"]
 
 _LOOK = 0.02  # s
+_GREETING = 2.0  # s
 
 
 def main() -> int:
     """Wait until the loop is done, or must be stopped for."""
     order = json.loads(sys.stdin.buffer.readline())
+    frames = [(bytes.fromhex(text), pause) for text, pause in order["frames"]]
+    stop: _ByConnection | _ByFrames
     try:
-        stop = _by_frames(order) if order["descriptor"] is not None else _by_connection(order)
-    except TwoRelayError as error:
+        if "port" in order:
+            owner = _AsOwner(order["port"], order["token"])
+            stop, place = _ByFrames(owner.write, frames), f" {owner.place}"
+        elif "descriptor" in order:
+            stop, place = _ByFrames(_to_descriptor(order["descriptor"]), frames), ""
+        else:
+            stop, place = _ByConnection(Axis.model_validate_json(json.dumps(order["axis"]))), ""
+    except (TwoRelayError, OSError) as error:
         _say(str(error))
-        return error.exit_code
-    _say("ready")
+        return getattr(error, "exit_code", 4)
+    _say(f"ready{place}")
     why = _watch(order["limit"], stop)
     if why:
         report = stop.now()
@@ -72,31 +84,65 @@ class _ByConnection:
 
 
 class _ByFrames:
-    """An inherited descriptor, and what to write to it."""
+    """Frames made beforehand, and how to write them."""
 
-    def __init__(self, descriptor: int, frames: list[tuple[str, float]]) -> None:
-        self._descriptor = descriptor
-        self._frames = [(bytes.fromhex(text), pause) for text, pause in frames]
+    def __init__(self, write: Callable[[bytes], object], frames: list[tuple[bytes, float]]) -> None:
+        self._write = write
+        self._frames = frames
 
     def idle(self) -> None:
         """The port is the loop's."""
 
     def now(self) -> str:
         """Write the frames; nobody reads the answers."""
-        os.set_blocking(self._descriptor, True)
         for frame, pause in self._frames:
             with contextlib.suppress(OSError):
-                os.write(self._descriptor, frame)
+                self._write(frame)
             time.sleep(pause)
         return "stop frames sent; not verified"
 
 
-def _by_connection(order: dict[str, Any]) -> _ByConnection:
-    return _ByConnection(Axis.model_validate_json(json.dumps(order["axis"])))
+def _to_descriptor(descriptor: int) -> Callable[[bytes], object]:
+    """Write to an inherited one."""
+
+    def write(frame: bytes) -> object:
+        if sys.platform != "win32":
+            os.set_blocking(descriptor, True)
+        return os.write(descriptor, frame)
+
+    return write
 
 
-def _by_frames(order: dict[str, Any]) -> _ByFrames:
-    return _ByFrames(order["descriptor"], order["frames"])
+class _AsOwner:
+    """The owner of the port; the loop speaks through it, until the first frame of ours."""
+
+    def __init__(self, port: list[Any], token: str) -> None:
+        device, baudrate, parity, stopbits = port
+        self._port = SerialPort(device, baudrate, parity, stopbits, _LOOK).open_when_free()
+        self._token = token.encode()
+        self._is_lent = True
+        self._listener = socket.create_server(("127.0.0.1", 0), backlog=1)
+        self.place: int = self._listener.getsockname()[1]
+        threading.Thread(target=self._lend, daemon=True).start()
+
+    def _lend(self) -> None:
+        """To whom knows the token, and to nobody after."""
+        while True:
+            link, _ = self._listener.accept()
+            link.settimeout(_GREETING)
+            with contextlib.suppress(OSError):
+                if link.recv(len(self._token), socket.MSG_WAITALL) == self._token:
+                    break
+            link.close()
+        self._listener.close()
+        link.settimeout(None)
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        pass_on(self._port, link, lambda: self._is_lent)
+
+    def write(self, frame: bytes) -> object:
+        """What we say; from now on what the loop says goes nowhere."""
+        self._is_lent = False
+        return self._port.write(frame)
 
 
 def _watch(limit: float, stop: _ByConnection | _ByFrames) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import sys
 import tempfile
 from collections.abc import Generator
 from pathlib import Path
@@ -15,6 +16,8 @@ from drivers.link import Link, parse
 from profiles.errors import Refused
 
 __all__ = ["owned"]
+
+_BEHIND = 100  # bytes: what is locked on Windows, so that the owner's number before it can be read
 
 
 @contextlib.contextmanager
@@ -64,20 +67,17 @@ def _place(link: Link) -> str:
 def _take(file: IO[str]) -> bool:
     """Lock an open file, without waiting; the system unlocks it when the process is gone."""
     try:
-        import fcntl
-    except ImportError:
-        import msvcrt
+        if sys.platform == "win32":
+            import msvcrt
 
-        try:
-            file.seek(100)
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
-        except OSError:
-            return False
-        finally:
-            file.seek(0)
-        return True
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            file.seek(_BEHIND)
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         return False
+    finally:
+        file.seek(0)
     return True

@@ -6,7 +6,6 @@ import csv
 import io
 import json
 import math
-import os
 import re
 import shutil
 import zipfile
@@ -22,7 +21,7 @@ from commissioning.runner import Recorder
 from drivers.sample import Sample
 from profiles.dcf import dcf
 from profiles.errors import JournalError, UnknownName, UsageError
-from profiles.files import contents
+from profiles.files import contents, replace
 from profiles.library import load_profile
 
 __all__ = ["RunFolder", "Samples", "resolve"]
@@ -83,9 +82,9 @@ class RunFolder:
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             if profile is not None:
-                _replace(self.path / "profile.toml", profile.encode())
+                replace(self.path / "profile.toml", profile.encode())
             text = json.dumps(result, indent=1, allow_nan=False)
-            _replace(self.path / "run.json", text.encode())
+            replace(self.path / "run.json", text.encode())
             if samples is not None:
                 archive = io.BytesIO()
                 np.savez(
@@ -94,7 +93,7 @@ class RunFolder:
                     phases=np.array(json.dumps(samples.phases)),
                     **samples.columns,
                 )
-                _replace(self.path / "samples.npz", archive.getvalue())
+                replace(self.path / "samples.npz", archive.getvalue())
         except OSError as error:
             raise JournalError(f"cannot write the run to {self.path}: {error}") from None
 
@@ -243,22 +242,6 @@ def _is_folder(path: Path) -> bool:
         return path.is_dir()
     except (OSError, ValueError):
         return False
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """The old content or the new one, whenever the power fails."""
-    fresh = path.with_suffix(path.suffix + ".new")
-    with fresh.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    fresh.replace(path)
-    if os.name != "nt":  # the new name is to last as well
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
 
 
 def _write_csv(

@@ -7,6 +7,7 @@ import os
 import platform
 import socket
 import statistics
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -77,13 +78,13 @@ def _state_folder() -> Iterator[Finding]:
 
 
 def _priority() -> Iterator[Finding]:
-    try:
-        import resource
-    except ImportError:
+    if sys.platform != "linux":
         yield Finding(
             "note", "this system has no real-time priority to give: plan with 10 ms and more"
         )
         return
+    import resource
+
     rtprio, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
     if rtprio > 0 or os.geteuid() == 0:
         yield Finding("ok", "real-time priority is permitted")
@@ -114,7 +115,7 @@ def _serial_ports() -> Iterator[Finding]:
         yield Finding("note", "no serial adapter is plugged in")
     for port in ports:
         yield Finding("ok", f"serial port {port.device}: {port.description}")
-        if os.name != "nt" and not os.access(port.device, os.R_OK | os.W_OK):
+        if sys.platform != "win32" and not os.access(port.device, os.R_OK | os.W_OK):
             yield Finding(
                 "problem", f"{port.device}: this user may not use it; add the user to group dialout"
             )
@@ -140,7 +141,7 @@ def latency_timer(device: str) -> int | None:
 
 
 def _can_interfaces() -> Iterator[Finding]:
-    if not hasattr(socket, "AF_CAN"):
+    if sys.platform != "linux" or not hasattr(socket, "AF_CAN"):
         yield Finding(
             "note",
             "no SocketCAN on this system: CAN adapters by their own drivers (PCAN, Kvaser, slcan)",

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from drivers.sample import Sample
 from drivers.scaling import Scaling
 from profiles.schema import Address, Identity, Mode, Profile
+
+if TYPE_CHECKING:
+    from drivers.serial_port import SerialPort, Stream
 
 __all__ = ["SET", "Bus", "Drive", "Exchange", "StopFrames", "StopReport"]
 
@@ -39,10 +42,14 @@ class StopReport:
 
 @dataclass(frozen=True, slots=True)
 class StopFrames:
-    """What stops a drive on a port that has one owner: bytes, and how long to wait after each, s."""
+    """What stops a drive on a port that has one owner: bytes, and how long to wait after each, s.
+
+    `port` is where the descriptor leads, if that is a serial port.
+    """
 
     descriptor: int
     frames: tuple[tuple[bytes, float], ...]
+    port: SerialPort | None = None
 
 
 class Drive(Protocol):
@@ -129,6 +136,9 @@ class Drive(Protocol):
     def stop_frames(self) -> StopFrames | None:
         """What another process writes to our port to stop the drive; None: it connects by itself."""
 
+    def speak_through(self, stream: Stream | None) -> None:
+        """Give the serial port back and speak through `stream` from now on; None: through nothing, yet."""
+
     def stop(self, hurry: Callable[[], bool] = ...) -> StopReport:
         """Make the axis safe first, then say what was reached. Never raises."""
 
@@ -174,6 +184,12 @@ class Bus(Protocol):
 
     def descriptor(self) -> int | None:
         """Of the port, where it has one owner; None: others connect by themselves."""
+
+    def port(self) -> SerialPort | None:
+        """The serial port, where there is one."""
+
+    def speak_through(self, stream: Stream | None) -> None:
+        """Give the serial port back and speak through `stream` from now on; None: through nothing, yet."""
 
     def frame(self, address: Address, raw: int) -> bytes:
         """What is written to the port for `post`."""

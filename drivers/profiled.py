@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf, isnan, nan
+from typing import TYPE_CHECKING
 
 from drivers.drive import SET, Bus, Exchange, StopFrames, StopReport
 from drivers.power import perform, power_of
 from drivers.sample import Sample
 from drivers.scaling import Scaling
+from drivers.stopping import Rest, StopPath
 from profiles.axis import Axis
 from profiles.errors import (
     AccessDenied,
@@ -24,10 +26,12 @@ from profiles.schema import (
     Parameter,
     Profile,
     Protection,
-    Step,
     Trust,
     Unit,
 )
+
+if TYPE_CHECKING:
+    from drivers.serial_port import Stream
 
 __all__ = ["ProfiledDrive"]
 
@@ -43,11 +47,6 @@ _COUNTED_IN_RATED = {
 _COUNTED_IN_INCREMENTS = {Unit.INCREMENT, Unit.INCREMENT_PER_SECOND}
 _POLL = 0.005  # s between two looks at a state
 _MODE_CHANGE = 2.0  # s
-_BETWEEN_FRAMES = 0.03  # s, for an answer that nobody reads
-# a stop that makes it worse: motion between two looks against the first ones, and more than that
-# (revolutions), in so many looks
-_FASTER, _MUCH, _FIRST_LOOKS, _FASTER_LOOKS = 2.0, 0.02, 2, 3
-_REPEATS = 3  # of frames that nobody confirms
 
 
 class ProfiledDrive:
@@ -66,11 +65,11 @@ class ProfiledDrive:
         self.in_real_time = bus.in_real_time
         self._bus = bus
         self._power = power_of(bus, profile, self.status_text)
-        self._looks = max(round(profile.stop_time / _POLL), 3)  # at a drive that is stopping
         self._rest_raw = 0
         self._energised = False
         self.scaling = Scaling(1.0, 1.0, axis.mechanics) if to_stop else self._read_bases(axis)
-        self._much = inf if to_stop else _MUCH * self.scaling.increments_per_revolution
+        revolution = inf if to_stop else self.scaling.increments_per_revolution
+        self._stop_path = StopPath(bus, profile, self.is_energised, revolution)
         if not profile.moves:
             return
         self._select(Mode.TORQUE, profile.modes[Mode.TORQUE][0])
@@ -458,97 +457,21 @@ class ProfiledDrive:
 
     def stop_frames(self) -> StopFrames | None:
         """What another process writes to our port to stop the drive; None: it connects by itself."""
-        descriptor = self._bus.descriptor()
-        if descriptor is None:
-            return None
+        return self._stop_path.frames(Rest(self._set_point.address, self._rest_raw))
 
-        def frames(steps: tuple[Step, ...]) -> list[tuple[bytes, float]]:
-            return [
-                (self._bus.frame(self._parameter(s.write).address, s.raw), _BETWEEN_FRAMES)
-                for s in steps
-                if s.write is not None and s.raw is not None
-            ]
-
-        rest = self._bus.frame(self._set_point.address, self._rest_raw)
-        halt = [(rest, _BETWEEN_FRAMES), *frames(self.profile.stop)] * _REPEATS
-        halt[-1] = (halt[-1][0], self.profile.stop_time)
-        return StopFrames(descriptor, (*halt, *frames(self.profile.disable) * _REPEATS))
+    def speak_through(self, stream: Stream | None) -> None:
+        """Give the serial port back and speak through `stream` from now on; None: through nothing, yet."""
+        self._bus.speak_through(stream)
 
     def stop(self, hurry: Callable[[], bool] = lambda: False) -> StopReport:
-        """Rest set-point and quick stop at once, then look, then take the energy away, then look.
+        """Stop the axis and take the energy away, as far as it can be done. Never raises.
 
-        `hurry` says that the energy must go now, without waiting for standstill. Never raises.
+        `hurry` says that the energy must go now, without waiting for standstill.
         """
-        failures: list[str] = []
-
-        def attempt(action: Callable[[], None]) -> None:
-            try:
-                action()
-            except Exception as error:
-                failures.append(str(error) or type(error).__name__)
-
-        def post(steps: tuple[Step, ...]) -> None:
-            for step in steps:
-                if step.write is not None and step.raw is not None:
-                    address, raw = self._parameter(step.write).address, step.raw
-                    attempt(lambda address=address, raw=raw: self._bus.post(address, raw))  # type: ignore[misc]
-
-        def post_rest() -> None:
-            attempt(lambda: self._bus.post(self._set_point.address, self._rest_raw))
-
-        if "controlword" in self.profile.cycle.out:
-            # both travel in one frame, and it must not say "enable operation" once more
-            post(self.profile.stop)
-            post_rest()
-        else:
-            post_rest()
-            post(self.profile.stop)
-        if not hurry():
-            attempt(lambda: self._await_standstill(hurry))
-        post(self.profile.disable)
-        state: bool | None = None
-        for _ in range(self._looks):
-            try:
-                state = not self.is_energised()
-            except Exception as error:
-                failures.append(str(error) or type(error).__name__)
-                break
-            if state:
-                break
-            attempt(lambda: self._bus.wait(_POLL))
-        self._energised = state is False
-        if state:
-            attempt(self._rest)
-        return StopReport(state, tuple(dict.fromkeys(failures)))
-
-    def _await_standstill(self, hurry: Callable[[], bool]) -> None:
-        """Wait until the drive has stopped the axis and closed the brake, at most `stop_time`.
-
-        An axis that becomes faster is not being stopped: then the energy goes at once.
-        """
-        at = self._counts()
-        most, faster = 0.0, 0
-        for look in range(self._looks):
-            if not self.is_energised() or hurry():
-                return
-            self._bus.wait(_POLL)
-            before, at = at, self._counts()
-            moved = abs(at - before)  # nan where it cannot be read: no faster than anything
-            if look < _FIRST_LOOKS:
-                most = max(most, _FASTER * moved + self._much)
-                continue
-            faster = faster + 1 if moved > most else 0
-            if faster >= _FASTER_LOOKS:
-                return
-
-    def _counts(self) -> float:
-        """Position, increments; nan where it is not needed or cannot be read."""
-        if self._much == inf:
-            return nan
-        try:
-            return self.read_raw("position_actual")
-        except AccessDenied:
-            return nan
+        rest = Rest(self._set_point.address, self._rest_raw)
+        report = self._stop_path.stop(rest, hurry, self._rest)
+        self._energised = report.deenergised is False
+        return report
 
     def close(self) -> None:
         """Stop what is still energised, and let go of the link."""

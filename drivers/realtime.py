@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
+import sys
 from collections.abc import Generator
 
 __all__ = ["real_time"]
@@ -20,7 +21,7 @@ def real_time(*, below: int = 0) -> Generator[bool]:
     `below`: by how much the priority is under the loop's, so that what serves the loop yields to it.
     Everything is as before afterwards. Other systems than Linux run the body as it is.
     """
-    if not hasattr(os, "sched_setscheduler"):
+    if sys.platform != "linux":
         yield False
         return
     policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)

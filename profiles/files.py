@@ -1,12 +1,17 @@
-"""Files that anybody may have written: read whole, and never more of them than is sensible."""
+"""Files that anybody may have written, and files of ours that others may be reading."""
 
 from __future__ import annotations
 
 import errno
 import os
+import sys
+import time
 from pathlib import Path
 
-__all__ = ["contents"]
+__all__ = ["contents", "replace"]
+
+_WINDOWS = sys.platform == "win32"
+_TRIES, _PAUSE = 100, 0.02  # s: until whoever reads a file on Windows has done
 
 
 def contents(path: Path, most: int) -> bytes:
@@ -21,3 +26,30 @@ def contents(path: Path, most: int) -> bytes:
         if size > most:
             raise OSError(errno.EFBIG, f"it is larger than {most} bytes")
         return file.read(size)
+
+
+def replace(path: Path, content: bytes) -> None:
+    """Write a file so that it holds the old content or the new one, whenever the power fails.
+
+    Raises OSError. On Windows nobody's file can be replaced while somebody reads it: that is waited for.
+    """
+    fresh = path.with_name(f"{path.name}.{os.getpid()}.new")
+    with fresh.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    for left in reversed(range(_TRIES)):
+        try:
+            fresh.replace(path)
+            break
+        except PermissionError:
+            if not _WINDOWS or not left:
+                fresh.unlink()
+                raise
+            time.sleep(_PAUSE)
+    if not _WINDOWS:  # the new name is to last as well
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import click
 
 from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Screen
+from commissioning.processes import start
 
 __all__ = ["command"]
 
@@ -33,23 +33,21 @@ def command(clock: str) -> None:
     from drivers.virtual.axes import AXES
 
     screen = Screen(None, yes=True)
-    serving = [sys.executable, "-m", "commissioning", "virtual", "serve", AXIS]
-    serving += ["--modbus-tcp", "127.0.0.1:0", "--clock", clock]
+    serving = ("virtual", "serve", AXIS, "--modbus-tcp", "127.0.0.1:0", "--clock", clock)
     with (
         tempfile.TemporaryDirectory() as folder,
-        subprocess.Popen(  # noqa: S603
-            [*serving, "--state", str(Path(folder) / "drive.json")],
-            stdout=subprocess.PIPE,
-            text=True,
+        start(
+            "commissioning", *serving, "--state", str(Path(folder) / "drive.json"),
+            stdout=subprocess.PIPE, text=True,
         ) as server,
-    ):
+    ):  # fmt: skip
         try:
             link = server.stdout.readline().strip() if server.stdout else ""
             if not link:
                 raise RuntimeError("the virtual drive did not start")
             truth = AXES[AXIS]
             screen.say(f"virtual drive '{AXIS}' serves {link}")
-            arguments = [link, "--travel", "±3.14", "--yes"]
+            arguments = [link, "--travel", "±3.14", "--cycle", "0.002", "--yes"]
             screen.say("\n$ tworelay identify " + " ".join(arguments))
             result = measure(link, screen, identify.make_context("identify", arguments).params)
             show.summary(result, screen)

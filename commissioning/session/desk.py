@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from commissioning.ownership import owned
+from commissioning.processes import is_alive, this_process
 from drivers.drive import Drive
 from drivers.link import is_simulated, open_drive
 from profiles.axis import Axis
@@ -69,35 +70,21 @@ def begin_run(desk: Desk, drive: Drive, identity: Identity, axis: Axis, fraction
         profile=drive.profile.name,
         profile_hash=digest(drive.profile),
         serial=identity.serial,
-        context={
-            "axis": axis.model_dump(mode="json"), "fraction": fraction, "pid": os.getpid(),
-        },
-    )  # fmt: skip
+        context={"axis": axis.model_dump(mode="json"), "fraction": fraction, **this_process()},
+    )
 
 
 def none_unfinished(desk: Desk, serial: str) -> None:
     """Raise Refused while another run uses the drive, or one was cut off and left it changed."""
     for run in desk.journal.unfinished(serial):
-        pid = desk.journal.run(run).context.get("pid")
-        if isinstance(pid, int) and pid != os.getpid() and _alive(pid):
+        context = desk.journal.run(run).context
+        pid = context.get("pid")
+        if pid != os.getpid() and is_alive(pid, context.get("started")):
             raise Refused(f"run {run} is still in progress on this drive (process {pid})")
         raise Refused(
             f"run {run} on this drive was cut off and left settings changed; "
             f"'tworelay restore {run}' puts them back"
         )
-
-
-def _alive(pid: int) -> bool:
-    """Whether a process of this machine exists; unknown counts as no."""
-    if os.name == "nt" or pid <= 0:
-        return False
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
 
 
 @contextlib.contextmanager

@@ -12,6 +12,7 @@ from time import perf_counter
 from drivers.canopen.wire import SYNC, CanWire
 from drivers.drive import Exchange
 from drivers.pace import Pace
+from drivers.serial_port import SerialPort, Stream
 from drivers.stepping import set_simulation
 from profiles.errors import (
     AccessDenied,
@@ -148,6 +149,14 @@ class CanopenBus:
     def descriptor(self) -> int | None:
         """Of a serial adapter; other adapters are shared."""
         return self._wire.descriptor
+
+    def port(self) -> SerialPort | None:
+        """The port of a serial adapter."""
+        return self._wire.port()
+
+    def speak_through(self, stream: Stream | None) -> None:
+        """Give the serial port back and speak through `stream` from now on."""
+        self._wire.speak_through(stream)
 
     def frame(self, address: Address, raw: int) -> bytes:
         """An SDO download as a serial adapter takes it."""

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import select
 import socket
 import struct
+import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -24,6 +24,7 @@ from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.canopen import bus_state
+from drivers.serial_port import SerialPort, Stream
 from profiles.errors import AccessDenied, LinkError, LinkLost, UsageError
 
 __all__ = ["CanWire", "NoAnswer", "open_bus"]
@@ -56,7 +57,7 @@ def open_bus(interface: str, channel: str, bitrate: int, timeout: float) -> can.
     options: dict[str, Any] = {"bitrate": bitrate}
     if interface == "slcan":
         options["sleep_after_open"] = 0
-        options["timeout"] = 0.001 if os.name == "nt" else 0
+        options["timeout"] = 0.001 if sys.platform == "win32" else 0
     elif interface == "socketcand":
         host, port, channel = _socketcand_address(channel)
         _greet(host, port, timeout)
@@ -242,9 +243,23 @@ class CanWire:
         self._closed = False
         self._posted = 0
         # waiting on a descriptor beats the library's polling
-        self._serial = bus if os.name != "nt" and isinstance(bus, _Slcan) else None
+        self._serial = bus if sys.platform != "win32" and isinstance(bus, _Slcan) else None
         self.descriptor = None if self._serial is None else int(self._serial.fileno())
         self._sdo = _PumpedSdo(self, node, timeout)
+
+    def port(self) -> SerialPort | None:
+        """The port of a serial adapter, as it is set; None for other adapters."""
+        if not isinstance(self._bus, _Slcan):
+            return None
+        port = self._bus.serialPortOrig
+        return SerialPort(str(port.port), port.baudrate, port.parity, port.stopbits, port.timeout)
+
+    def speak_through(self, stream: Stream | None) -> None:
+        """Give the serial port back and speak through `stream` from now on; the channel stays open."""
+        assert isinstance(self._bus, _Slcan)
+        self._bus.serialPortOrig.close()
+        if stream is not None:
+            self._bus.serialPortOrig = stream  # type: ignore[assignment]
 
     # -- frames ----------------------------------------------------------------------------------
 

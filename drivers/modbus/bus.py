@@ -10,6 +10,7 @@ from drivers.modbus.client import POST_ANSWER, Client, NoAnswer
 from drivers.modbus.mailbox import MailboxAccess
 from drivers.modbus.registers import decode, encode
 from drivers.pace import Pace
+from drivers.serial_port import SerialPort, Stream
 from drivers.stepping import set_simulation
 from profiles.errors import AccessDenied, LinkLost, ProfileError, TwoRelayError, UsageError
 from profiles.schema import Address, Identity, MailboxAddress, ModbusAddress, Profile
@@ -132,6 +133,14 @@ class ModbusBus:
         if self._profile.link.sharing == "shared" and not self._client.serial:
             return None
         return self._client.descriptor()
+
+    def port(self) -> SerialPort | None:
+        """The serial port, where the drive is on one."""
+        return self._client.port()
+
+    def speak_through(self, stream: Stream | None) -> None:
+        """Give the serial port back and speak through `stream` from now on."""
+        self._client.speak_through(stream)
 
     def frame(self, address: Address, raw: int) -> bytes:
         """The request that `post` would send."""

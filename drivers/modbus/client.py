@@ -8,7 +8,6 @@ import socket
 from collections.abc import Callable
 from typing import Any
 
-import serial
 from pymodbus import FramerType
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException
@@ -21,6 +20,7 @@ from pymodbus.pdu.register_message import (
 
 from drivers.modbus.wires import RtuLine, TcpWire, Wire
 from drivers.pace import Silence
+from drivers.serial_port import SerialPort, Stream
 from profiles.errors import AccessDenied, LinkError, LinkLost
 
 __all__ = ["POST_ANSWER", "Client", "ExceptionAnswer", "NoAnswer"]
@@ -226,6 +226,15 @@ class Client:
             return None
         return int(stream.fileno())
 
+    def port(self) -> SerialPort | None:
+        """The serial port, where the drive is on one."""
+        return self._wire.opened_as(self._timeout) if isinstance(self._wire, RtuLine) else None
+
+    def speak_through(self, stream: Stream | None) -> None:
+        """Give the serial port back and speak through `stream` from now on; None: through nothing, yet."""
+        self._drop()
+        self._client.socket = stream  # type: ignore[assignment]
+
     def frame(self, function: int, address: int, words: list[int]) -> bytes:
         """The frame that `write` would send."""
         request: ModbusPDU
@@ -316,11 +325,8 @@ class _SerialClient(ModbusSerialClient):
             timeout=timeout, retries=0, trace_packet=on_packet,
         )  # fmt: skip
         try:
-            self.socket = serial.serial_for_url(
-                line.port, baudrate=line.baudrate, parity=line.parity, stopbits=line.stopbits,
-                timeout=timeout, write_timeout=timeout, exclusive=True,
-            )  # fmt: skip
-        except Exception as error:  # termios' errors among them, which are no OSErrors
+            self.socket = line.opened_as(timeout).open()
+        except OSError as error:
             number = getattr(error, "errno", None) or 0
             text = str(error)
             words = _WORDS.get(number, "") or (_WORDS[16] if "lock" in text else "")

@@ -7,6 +7,7 @@ import ssl
 from dataclasses import dataclass
 from pathlib import Path
 
+from drivers.serial_port import SerialPort
 from profiles.errors import LinkError, UsageError
 
 __all__ = ["RtuLine", "TcpWire", "Tls", "Wire"]
@@ -97,6 +98,10 @@ class RtuLine:
             return 0.0
         standard = _FAST_SILENCE if self.baudrate > _FAST else 3.5 * self.character
         return max(standard, self.gap)
+
+    def opened_as(self, timeout: float) -> SerialPort:
+        """The port under this line, with `timeout` (s) for a read."""
+        return SerialPort(self.port, self.baudrate, self.parity, self.stopbits, timeout)
 
     def __str__(self) -> str:
         return f"{self.port} at {self.baudrate} baud 8{self.parity}{self.stopbits}"

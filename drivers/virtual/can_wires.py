@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 
 from drivers.virtual.canopen_node import CanopenNode, Frame
+from drivers.virtual.pseudo_terminal import pseudo_terminal
 
 __all__ = ["CanBus", "SlcanPty", "SocketcandServer"]
 
@@ -55,14 +56,8 @@ class SlcanPty:
     """The adapter side of an slcan line (Lawicel protocol, 11-bit frames) on a pseudo-terminal."""
 
     def __init__(self, bus: CanBus) -> None:
-        import pty
-        import tty
-
         self._bus = bus
-        self._master, self._slave = pty.openpty()
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self.path = os.ttyname(self._slave)
+        self._master, self._slave, self.path = pseudo_terminal()
         self._buffer = b""
         self._open = False
         self._deliver: Deliver = self._to_client

@@ -9,6 +9,7 @@ import random
 import struct
 
 from drivers.drive import Exchange
+from drivers.serial_port import Stream
 from drivers.virtual.device import Device
 from drivers.virtual.firmware import SECOND, Denied
 from drivers.virtual.modbus_identity import PRODUCT, REVISION, VENDOR
@@ -78,6 +79,13 @@ class DirectBus:
     def descriptor(self) -> int | None:
         """There is no port."""
         return None
+
+    def port(self) -> None:
+        """There is no port."""
+
+    def speak_through(self, stream: Stream | None) -> None:
+        """There is no port."""
+        raise NotImplementedError
 
     def frame(self, address: Address, raw: int) -> bytes:
         """There is no port."""

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 from pathlib import Path
 
-from profiles.files import contents
+from profiles.files import contents, replace
 
 __all__ = ["Memory"]
 
@@ -41,6 +40,4 @@ class Memory:
         if self.path is None:
             return
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        fresh = self.path.with_suffix(f".{os.getpid()}.new")
-        fresh.write_text(json.dumps(self._values, indent=1, sort_keys=True), "utf-8")
-        fresh.replace(self.path)
+        replace(self.path, json.dumps(self._values, indent=1, sort_keys=True).encode())

@@ -6,6 +6,8 @@ import asyncio
 import contextlib
 import os
 
+from drivers.virtual.pseudo_terminal import pseudo_terminal
+
 __all__ = ["RtuPty"]
 
 _CHUNK = 4096
@@ -15,15 +17,7 @@ class RtuPty:
     """The far end of a pseudo-terminal; what comes in goes to a server on loopback, and back."""
 
     def __init__(self) -> None:
-        import pty
-        import tty
-
-        self._master, self._slave = (
-            pty.openpty()
-        )  # the slave stays open, so that clients may come and go
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self.path = os.ttyname(self._slave)
+        self._master, self._slave, self.path = pseudo_terminal()
         self._back: asyncio.Task[None] | None = None
         self._writer: asyncio.StreamWriter | None = None
 

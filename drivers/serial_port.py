@@ -1,0 +1,198 @@
+"""A serial port, and one that another process owns: the owner passes the bytes on.
+
+Where a process cannot inherit an open port (Windows), the guardian owns it while the axis may move, and
+the loop speaks through a socket. When the guardian ends, the loop opens the port itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import serial
+
+__all__ = ["LentPort", "SerialPort", "Stream", "pass_on"]
+
+_CHUNK = 4096
+_TRIES, _PAUSE = 100, 0.02  # s: until a port is free whose owner has just ended
+_LOOK = 0.05  # s between two looks whether there is still somebody to pass bytes on to
+
+
+class Stream(Protocol):
+    """What the libraries ask of a serial port; `timeout` in s bounds `read`."""
+
+    timeout: float | None
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that can be read at once."""
+
+    def read(self, size: int = 1) -> bytes:
+        """At most `size` bytes, as many as come within `timeout`."""
+
+    def write(self, data: bytes, /) -> int | None:
+        """Send bytes; raises OSError."""
+
+    def flush(self) -> None:
+        """Wait until they have left."""
+
+    def reset_input_buffer(self) -> None:
+        """Forget what has come."""
+
+    def fileno(self) -> int:
+        """What select waits on."""
+
+    def close(self) -> None:
+        """Give the port back."""
+
+
+@dataclass(frozen=True, slots=True)
+class SerialPort:
+    """Where a port is and how it is set.
+
+    Parameters
+    ----------
+    device : /dev/ttyUSB0 or COM5
+    baudrate : bits a second
+    parity : N, E or O
+    stopbits : 1 or 2
+    timeout : s that a read may take; None: no end
+    """
+
+    device: str
+    baudrate: int
+    parity: str = "N"
+    stopbits: float = 1
+    timeout: float | None = None
+
+    def open(self) -> serial.Serial:
+        """The open port, for this process alone; raises OSError, whatever the system raises."""
+        try:
+            return serial.Serial(
+                self.device, baudrate=self.baudrate, parity=self.parity, stopbits=self.stopbits,
+                timeout=self.timeout, write_timeout=self.timeout, exclusive=True,
+            )  # fmt: skip
+        except OSError:
+            raise
+        except Exception as error:  # termios' errors, which are no OSErrors
+            raise OSError(*error.args) from None
+
+    def open_when_free(self) -> serial.Serial:
+        """The open port, as soon as its owner has ended; raises OSError."""
+        for left in reversed(range(_TRIES)):
+            with contextlib.suppress(OSError):
+                return self.open()
+            if left:
+                time.sleep(_PAUSE)
+        return self.open()
+
+
+class LentPort:
+    """A port that another process owns, spoken to through `link`; this process' own once that is gone."""
+
+    def __init__(self, link: socket.socket, port: SerialPort) -> None:
+        self.timeout = port.timeout
+        self._link = link
+        self._port = port
+        self._own: serial.Serial | None = None
+        self._heard = bytearray()
+
+    def reclaim(self) -> None:
+        """Open the port here: its owner has ended. Raises OSError."""
+        if self._own is None:
+            self._link.close()
+            self._own = self._port.open_when_free()
+
+    def _fill(self, seconds: float) -> None:
+        """Take what comes within `seconds`."""
+        if self._own is not None:
+            self._own.timeout = seconds
+            self._heard += self._own.read(max(self._own.in_waiting, 1))
+            return
+        try:
+            if select.select([self._link], [], [], seconds)[0]:
+                heard = self._link.recv(_CHUNK)
+                if not heard:
+                    raise ConnectionResetError
+                self._heard += heard
+        except ConnectionError:
+            self.reclaim()
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that can be read at once."""
+        self._fill(0.0)
+        return len(self._heard)
+
+    def read(self, size: int = 1) -> bytes:
+        """At most `size` bytes, as many as come within `timeout`."""
+        until = None if self.timeout is None else time.perf_counter() + self.timeout
+        while len(self._heard) < size:
+            left = _LOOK if until is None else until - time.perf_counter()
+            if left < 0 and until is not None:
+                break
+            self._fill(max(left, 0.0))
+        found = bytes(self._heard[:size])
+        del self._heard[:size]
+        return found
+
+    def write(self, data: bytes) -> int:
+        """Send bytes; by the port itself where its owner is gone. Raises OSError."""
+        if self._own is None:
+            try:
+                self._link.sendall(data)
+                return len(data)
+            except ConnectionError:
+                self.reclaim()
+        assert self._own is not None
+        return self._own.write(data) or 0
+
+    def flush(self) -> None:
+        """Wait until they have left."""
+        if self._own is not None:
+            self._own.flush()
+
+    def reset_input_buffer(self) -> None:
+        """Forget what has come."""
+        self._fill(0.0)
+        self._heard.clear()
+
+    def fileno(self) -> int:
+        """What select waits on."""
+        return int((self._own or self._link).fileno())
+
+    def close(self) -> None:
+        """Give the port back."""
+        (self._own or self._link).close()
+
+
+def pass_on(port: serial.Serial, link: socket.socket, wanted: Callable[[], bool]) -> None:
+    """Begin to pass bytes on between a port and its borrower, both ways, while that is `wanted`.
+
+    A port that fails ends the borrower's connection.
+    """
+
+    def to_borrower() -> None:
+        while wanted():
+            if heard := port.read(max(port.in_waiting, 1)):
+                link.sendall(heard)
+
+    def to_port() -> None:
+        while (said := link.recv(_CHUNK)) and wanted():
+            port.write(said)
+
+    def ending(way: Callable[[], None]) -> None:
+        with contextlib.suppress(OSError, TypeError):  # TypeError: closed meanwhile
+            way()
+        with contextlib.suppress(OSError):
+            link.shutdown(socket.SHUT_RDWR)
+
+    port.timeout, port.write_timeout = _LOOK, None
+    for way in (to_borrower, to_port):
+        threading.Thread(target=ending, args=(way,), daemon=True).start()

@@ -1,0 +1,39 @@
+"""A plugin: which test runs which line, children included, and how long each test takes.
+
+With coverage under way, the context is the test's id, here and in the processes that it starts.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+DURATIONS = "TWORELAY_DURATIONS"
+_CHILDREN = "COVERAGE_PROCESS_CONFIG"
+_spent: defaultdict[str, float] = defaultdict(float)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    coverage = sys.modules.get("coverage")
+    under_way = coverage.Coverage.current() if coverage else None
+    if under_way is None:
+        return
+    under_way.switch_context(item.nodeid)
+    if _CHILDREN in os.environ:
+        described = json.loads(os.environ[_CHILDREN])
+        os.environ[_CHILDREN] = json.dumps({**described, "context": item.nodeid})
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    _spent[report.nodeid] += report.duration
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if DURATIONS in os.environ and not hasattr(session.config, "workerinput"):
+        Path(os.environ[DURATIONS]).write_text(json.dumps(_spent), "utf-8")

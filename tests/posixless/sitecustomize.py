@@ -1,0 +1,66 @@
+"""Every Python process with this folder in its path is on something like Windows: `sys.platform` says so, and
+what only POSIX has is gone. Libraries are imported before, since they are as they are.
+"""
+
+# ruff: noqa: F401
+
+import asyncio
+import fcntl
+import importlib
+import multiprocessing.connection
+import os
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import types
+from pathlib import Path
+
+GONE = {
+    os: (
+        "set_blocking", "sched_getscheduler", "sched_setscheduler", "sched_getparam", "sched_param",
+        "SCHED_FIFO", "fork", "forkpty", "openpty", "ttyname", "geteuid", "getuid", "getgid", "getpgid",
+        "killpg", "setsid", "mkfifo", "O_NOFOLLOW", "getloadavg", "sched_yield", "nice", "getpriority",
+        "uname", "chown",
+    ),
+    signal: (
+        "SIGHUP", "SIGALRM", "SIGUSR1", "SIGUSR2", "SIGSTOP", "SIGCONT", "setitimer", "alarm", "pause",
+        "pthread_kill", "sigwait",
+    ),
+}  # fmt: skip
+
+
+def _locking(descriptor: int, mode: int, count: int) -> None:
+    """As msvcrt's: whole, and without waiting."""
+    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+LIBRARIES = (
+    "click", "rich.console", "rich.progress", "platformdirs", "psutil", "pydantic", "tomlkit", "jinja2",
+    "serial", "serial.tools.list_ports", "can.interfaces.slcan", "can.interfaces.socketcand", "canopen",
+    "pymodbus.client", "pymodbus.server", "numpy", "scipy.optimize", "scipy.interpolate",
+    "scipy.sparse.linalg", "matplotlib.backends.backend_svg", "matplotlib.figure",
+)  # fmt: skip
+
+
+def _leave() -> None:
+    for library in LIBRARIES:
+        importlib.import_module(library)
+    for module, names in GONE.items():
+        for name in names:
+            if hasattr(module, name):
+                delattr(module, name)
+    for name in ("fcntl", "termios", "tty", "pty", "resource", "pwd", "grp"):
+        sys.modules[name] = None  # type: ignore[assignment]
+    windows = types.ModuleType("msvcrt")
+    windows.LK_NBLCK = 2  # type: ignore[attr-defined]
+    windows.locking = _locking  # type: ignore[attr-defined]
+    sys.modules["msvcrt"] = windows
+    subprocess.CREATE_NEW_PROCESS_GROUP = 0  # type: ignore[attr-defined]
+    sys.platform = "win32"
+
+
+if os.environ.get("TWORELAY_POSIXLESS"):
+    _leave()

@@ -155,7 +155,7 @@ def _started(
     if frames is None:
         guardian = Guardian(_process(order)[0])
         stack.callback(guardian.dismiss)
-    elif INHERITS:
+    elif INHERITS and frames.descriptor is not None:
         order["descriptor"] = frames.descriptor
         guardian = Guardian(_process(order, (frames.descriptor,))[0])
         stack.callback(guardian.dismiss)

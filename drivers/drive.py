@@ -44,10 +44,10 @@ class StopReport:
 class StopFrames:
     """What stops a drive on a port that has one owner: bytes, and how long to wait after each, s.
 
-    `port` is where the descriptor leads, if that is a serial port.
+    The port by its open descriptor, where that can be inherited, and by what opens it, where it is serial.
     """
 
-    descriptor: int
+    descriptor: int | None
     frames: tuple[tuple[bytes, float], ...]
     port: SerialPort | None = None
 

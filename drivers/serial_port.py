@@ -25,9 +25,10 @@ _LOOK = 0.05  # s between two looks whether there is still somebody to pass byte
 
 
 class Stream(Protocol):
-    """What the libraries ask of a serial port; `timeout` in s bounds `read`."""
+    """What the libraries ask of a serial port; the time-outs, in s, bound `read` and `write`."""
 
     timeout: float | None
+    write_timeout: float | None
 
     @property
     def in_waiting(self) -> int:
@@ -98,6 +99,7 @@ class LentPort:
 
     def __init__(self, link: socket.socket, port: SerialPort) -> None:
         self.timeout = port.timeout
+        self.write_timeout = port.timeout  # a socket of this computer takes what is written
         self._link = link
         self._port = port
         self._own: serial.Serial | None = None

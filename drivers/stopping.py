@@ -48,8 +48,8 @@ class StopPath:
 
     def frames(self, rest: Rest) -> StopFrames | None:
         """What another process writes to our port to stop the drive; None: it connects by itself."""
-        descriptor = self._bus.descriptor()
-        if descriptor is None:
+        descriptor, port = self._bus.descriptor(), self._bus.port()
+        if descriptor is None and port is None:
             return None
 
         def made(steps: tuple[Step, ...]) -> list[tuple[bytes, float]]:
@@ -61,7 +61,7 @@ class StopPath:
         halt = [(self._bus.frame(*rest), _BETWEEN_FRAMES), *made(self._profile.stop)] * _REPEATS
         halt[-1] = (halt[-1][0], self._profile.stop_time)
         every = (*halt, *made(self._profile.disable) * _REPEATS)
-        return StopFrames(descriptor, every, self._bus.port())
+        return StopFrames(descriptor, every, port)
 
     def _writes(self, steps: tuple[Step, ...]) -> list[tuple[Address, int]]:
         return [

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import socket
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -220,8 +221,10 @@ class Client:
         return isinstance(self._wire, RtuLine)
 
     def descriptor(self) -> int | None:
-        """Of the port or the connection; None where it cannot be lent (TLS, closed)."""
+        """Of the port or the connection; None where it cannot be lent (TLS, closed, a port on Windows)."""
         stream = self._client.socket
+        if sys.platform == "win32" and self.serial:
+            return None
         if stream is None or (isinstance(self._wire, TcpWire) and self._wire.tls is not None):
             return None
         return int(stream.fileno())

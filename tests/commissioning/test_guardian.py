@@ -11,13 +11,14 @@ from typing import Any
 
 import pytest
 
+import commissioning.guardian
 from commissioning.guardian import Guardian, guarded
 from commissioning.journal import Journal
 from drivers.home import home
 from drivers.link import open_drive
 from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis
-from profiles.errors import DriveFault
+from profiles.errors import DriveFault, PreflightRefused
 from profiles.schema import Mode
 from tests.conftest import Serve
 from tests.serving import WIRES
@@ -107,6 +108,94 @@ def test_a_silent_loop_is_stopped_for_once_it_is_armed(
         assert said()[0].startswith("guardian: the loop was silent for more than 250 ms; ")
         with pytest.raises(DriveFault, match="the guardian process has ended"):
             feed_for_long(guardian)
+
+
+@pytest.fixture
+def owner(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on Windows: a process inherits no port, so the guardian owns it."""
+    monkeypatch.setattr(commissioning.guardian, "INHERITS", False)
+
+
+serial = pytest.mark.parametrize("wire", ["modbus-rtu", "slcan"])
+
+
+@serial
+@pytest.mark.usefixtures("owner")
+def test_the_loop_speaks_through_a_guardian_that_owns_the_port(
+    serve: Serve, wire: str, tmp_path: Path
+) -> None:
+    with energised(serve, wire, tmp_path) as (drive, guardian):
+        guardian.arm()
+        for _ in range(20):
+            sample = drive.exchange(0.05)  # less than the friction
+            guardian.feed()
+        assert sample.status.enabled
+        assert sample.torque == pytest.approx(0.05, abs=2e-3)
+        guardian.rest()
+        assert drive.stop().deenergised
+    assert drive._bus.port() is not None
+
+
+@serial
+@pytest.mark.usefixtures("owner")
+def test_a_guardian_that_owns_the_port_stops_for_a_silent_loop(
+    serve: Serve, wire: str, tmp_path: Path
+) -> None:
+    with energised(serve, wire, tmp_path) as (drive, guardian):
+        guardian.arm()
+        assert said()[0].startswith("guardian: the loop was silent for more than 250 ms; ")
+        assert comes_to_rest(drive)  # it has ended, so the port is ours again
+
+
+@serial
+@pytest.mark.usefixtures("owner")
+def test_the_port_of_a_guardian_that_dies_is_opened_here_and_the_axis_stopped(
+    serve: Serve, wire: str, tmp_path: Path
+) -> None:
+    with energised(serve, wire, tmp_path) as (drive, guardian):
+        guardian.arm()
+        assert guardian._process is not None
+        guardian._process.kill()
+        guardian._process.wait()
+        words = "the guardian process has ended.* through its port, which was opened here"
+        with pytest.raises(DriveFault, match=words):
+            feed_for_long(guardian)
+        report = drive.stop()
+        assert report.deenergised
+        assert report.failures == ()
+
+
+@pytest.mark.usefixtures("owner")
+def test_a_port_that_the_guardian_cannot_open_is_the_loop_s_again(
+    serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(*arguments: object) -> None:
+        raise RuntimeError("no process today")
+
+    monkeypatch.setattr(commissioning.guardian, "_process", none)
+    with (
+        pytest.raises(PreflightRefused, match="no guardian process can be started"),
+        energised(serve, "modbus-rtu", tmp_path),
+    ):
+        pass
+
+
+def test_words_that_a_pipe_would_make_wait_for_go_by_a_thread() -> None:
+    """As on Windows before Python 3.12."""
+    reader, writer = os.pipe()
+    line = commissioning.guardian._Background(writer)
+    line.put(b"a")
+    assert os.read(reader, 1) == b"a"
+    os.close(reader)
+    with pytest.raises(BrokenPipeError):
+        put_for_long(line)
+    os.close(writer)
+
+
+def put_for_long(line: commissioning.guardian._Background) -> None:
+    until = time.monotonic() + _PATIENCE
+    while time.monotonic() < until:
+        line.put(b".")
 
 
 def test_a_loop_that_rests_may_be_silent(serve: Serve, tmp_path: Path) -> None:

@@ -46,6 +46,21 @@ def test_the_readme_s_commands_work_in_their_order(tworelay: Tworelay) -> None:
     assert ran >= 4
 
 
+def test_the_demo_does_the_whole_job_and_names_its_report(tworelay: Tworelay) -> None:
+    done = tworelay("demo")
+    assert done.returncode == 0, done.stderr
+    assert "found against true" in done.stdout
+    assert "Coulomb friction" in done.stdout
+    off = re.search(r"Coulomb friction .* ([+-][0-9.]+) %", done.stdout)
+    assert off is not None
+    assert abs(float(off[1])) <= 1.0
+    report = re.search(r"^report (\S+)$", done.stdout, re.MULTILINE)
+    assert report is not None
+    assert "Does it help?" in Path(report[1]).read_text("utf-8")
+    taken_back = tworelay("restore", "last", "--link", "modbus-tcp://127.0.0.1:1")
+    assert taken_back.returncode == 4, "its drive is gone with it"
+
+
 def test_results_keep_to_the_json_schema(tworelay: Tworelay) -> None:
     good = tworelay("identify", "virtual://bench", "--yes", "--json", "-")
     jsonschema.validate(json.loads(good.stdout), SCHEMA)

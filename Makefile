@@ -1,11 +1,12 @@
-# make demo | test | check | bench | fuzz | faults | faults-long | kills | machine-faults | limits – each sets itself up on a bare machine with Python 3.11
+# make demo | test | check | coverage | mutants | platforms | bench | fuzz | faults | faults-long | kills |
+# machine-faults | limits – each sets itself up on a bare machine with Python 3.11
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 CASES ?= 12000
 
-.PHONY: demo test check bench fuzz faults faults-long kills machine-faults limits format lint types imports lock clean
+.PHONY: demo test check coverage mutants mutants-afresh platforms bench fuzz faults faults-long kills machine-faults limits format lint types imports lock clean
 
 demo: $(STAMP)
 	$(BIN)/tworelay demo
@@ -23,8 +24,29 @@ check: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/mypy --platform win32 --no-warn-unreachable -p commissioning -p drivers -p profiles
+	$(BIN)/mypy --platform darwin --no-warn-unreachable -p commissioning -p drivers -p profiles
 	$(BIN)/lint-imports
 	$(TESTS)
+
+# branches that no test takes, a module; what runs in other processes included
+coverage: $(STAMP)
+	rm -f .coverage .coverage.*
+	$(BIN)/coverage run -m pytest -n auto --dist loadgroup -m "not real_time" --timeout 400 -q
+	$(BIN)/coverage run -m pytest -m real_time -q
+	$(BIN)/coverage combine -q
+	$(BIN)/coverage report
+
+# changes of the code that keeps people safe, each of which a test must notice; goes on for nine minutes where
+# it ended; the last line is "mutants: N of M tried, K killed, L live"
+mutants: $(STAMP)
+	$(BIN)/python -m tests.mutants.campaign
+mutants-afresh: $(STAMP)
+	$(BIN)/python -m tests.mutants.campaign afresh
+
+# the built wheel and sdist on every Python that is found; ends with "platforms: N rows, M held"
+platforms: $(STAMP)
+	$(BIN)/python -m tests.platforms
 
 bench: $(STAMP)
 	$(BIN)/python benchmarks/run.py
@@ -57,7 +79,6 @@ format: $(STAMP)
 	$(BIN)/ruff check --fix .
 
 lock: $(STAMP)
-	$(BIN)/python -m pip install --quiet uv
 	$(BIN)/uv pip compile pyproject.toml --group dev --universal --generate-hashes --python-version 3.11 --output-file requirements.lock --no-header --no-annotate --quiet
 
 $(STAMP): requirements.lock pyproject.toml

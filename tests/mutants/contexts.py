@@ -9,6 +9,7 @@ import json
 import os
 import sys
 from collections import defaultdict
+from copy import copy
 from pathlib import Path
 
 import pytest
@@ -26,8 +27,9 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         return
     under_way.switch_context(item.nodeid)
     if _CHILDREN in os.environ:
-        described = json.loads(os.environ[_CHILDREN])
-        os.environ[_CHILDREN] = json.dumps({**described, "context": item.nodeid})
+        described = copy(under_way.config)
+        described.context = item.nodeid
+        os.environ[_CHILDREN] = described.serialize()
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

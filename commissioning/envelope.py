@@ -99,9 +99,11 @@ class Watch:
             velocity = (position - self._position) / elapsed
             speed = velocity if velocity >= 0 else -velocity
             ahead = self._c0 + (self._c1 + self._c2 * speed) * speed
-            reach = ahead + (offset if velocity >= 0 else -offset)
-            if reach < offset or reach < -offset:
-                reach = offset if offset >= 0 else -offset
+            far = offset if offset >= 0 else -offset
+            # at rest it may begin to move either way
+            reach = ahead + (offset if velocity > 0 else -offset if velocity < 0 else far)
+            if reach < far:  # noqa: PLR1730 (in every cycle)
+                reach = far
             excess = sample.command * sample.command - self._rated2
             heat = self._heat + excess * elapsed
             self._heat = heat if heat > 0 else 0.0

@@ -121,3 +121,150 @@ def test_the_stop_is_proved_the_way_in_which_the_load_moves_the_axis(
     pushes = [command - offset for command in commands if command != offset]
     assert pushes
     assert all(push * way > 0.1 for push in pushes)
+
+
+# -- at the limits: numbers that are exact in binary, so that "at" and "beyond" are what they say ------
+
+TICK = 1 / 128  # s
+
+
+def exact(**changes: object) -> Watch:
+    base = {"centre": 0.0, "travel": 0.5, "speed": 8.0, "torque": 1.0, "duration": 64.0}
+    return Envelope(**{**base, **changes}).watch(0.0)
+
+
+def beyond(value: float) -> float:
+    """A little further from zero."""
+    return value * (1 + 2**-20)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_torque_limit_itself_may_be_commanded_and_no_more(sign: float) -> None:
+    w = exact()
+    w.admit(sign * (1 + 1e-9))
+    with pytest.raises(EnvelopeTripped, match=r"is above the limit of 1 N\.m"):
+        w.admit(sign * beyond(1.0))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_speed_limit_itself_is_no_trip(sign: float) -> None:
+    w = exact()
+    w.check(sample(0.0, 0.0))
+    w.check(sample(TICK, sign * 8.0 * TICK))
+    with pytest.raises(EnvelopeTripped, match="speed: 8 rad/s is above the limit of 8 rad/s"):
+        w.check(sample(2 * TICK, sign * (8.0 * TICK + beyond(8.0) * TICK)))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_end_of_the_travel_itself_is_no_trip(sign: float) -> None:
+    w = exact()
+    w.check(sample(0.0, 0.0))
+    w.check(sample(1.0, sign * 0.5))
+    w.check(sample(2.0, sign * 0.5))
+    with pytest.raises(EnvelopeTripped, match="travel: the axis is"):
+        w.check(sample(3.0, sign * beyond(0.5)))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_axis_that_rests_stops_within_what_the_torque_may_still_do(sign: float) -> None:
+    """At rest the stopping distance counts outwards: c0 = a·t²/2 + (a·t)²·J/(2·b)."""
+    # a = (0.3 - 0.1)/1e-3 = 200, t = 0.02: 0.04 + 16e-3/0.4 = 0.08
+    stopping = Stopping(inertia=1e-3, friction=0.1, braking=0.2, reaction=0.02)
+    assert stopping.distance(0.0, 0.3) == pytest.approx(0.08)
+    w = exact(stopping=stopping, relay_torque=0.3)
+    w.check(sample(0.0, 0.0))
+    w.check(sample(1000.0 * TICK, sign * 0.415))
+    w.check(sample(2000.0 * TICK, sign * 0.415))  # 0.415 + 0.08 < 0.5
+    slowly = sample(9000.0 * TICK, sign * 0.4249)
+    with pytest.raises(EnvelopeTripped, match=r"would stop within 0\.5049 rad, beyond ±0\.5 rad"):
+        w.check(slowly)
+    still = exact(stopping=stopping, relay_torque=0.3, travel=0.49)
+    still.check(sample(0.0, 0.0))
+    still.check(sample(0.0, sign * 0.415))
+    with pytest.raises(EnvelopeTripped, match=r"at 0 rad/s and would stop within 0\.495 rad"):
+        still.check(sample(1.0, sign * 0.415))
+
+
+def test_two_samples_of_one_instant_are_no_speed() -> None:
+    w = exact()
+    w.check(sample(0.0, 0.0))
+    w.check(sample(0.0, 0.25))
+    w.check(sample(1.0, 0.25))
+    with pytest.raises(EnvelopeTripped, match="speed"):
+        w.check(sample(1.0 + TICK, 0.375))
+
+
+def test_the_time_that_is_spent_counts_from_the_first_sample() -> None:
+    w = exact(spent=32.0)
+    w.check(sample(100.0, 0.0))
+    w.check(sample(132.0, 0.0))
+    with pytest.raises(EnvelopeTripped, match="duration: the experiments take longer than 64 s"):
+        w.check(sample(132.0 + TICK, 0.0))
+    gone = exact(spent=65.0)
+    gone.check(sample(0.0, 0.0))
+    with pytest.raises(EnvelopeTripped, match="duration"):
+        gone.check(sample(TICK, 0.0))
+
+
+def test_heat_is_carried_over_and_the_budget_itself_is_no_trip() -> None:
+    # 1.5² − 0.5² = 2 (N.m)²: a budget of 4 is spent after 2 s, of which 1 s was before
+    w = exact(rated=0.5, thermal=4.0, heat=2.0, torque=2.0)
+    w.check(sample(0.0, 0.0))
+    w.check(sample(1.0, 0.0, command=1.5))
+    with pytest.raises(EnvelopeTripped, match=r"i2t budget of 4 \(N.m\)2.s above 0.5 N.m"):
+        w.check(sample(1.0 + TICK, 0.0, command=1.5))
+
+
+def test_heat_goes_while_the_torque_is_low_and_never_below_none() -> None:
+    w = exact(rated=1.5, thermal=1.0, torque=4.0)
+    w.check(sample(0.0, 0.0))
+    w.check(sample(10.0, 0.0, command=0.0))  # −22.5: none is left, and none is owed
+    w.check(sample(10.5, 0.0, command=-2.0))  # (4 − 2.25)·0.5 = 0.875
+    with pytest.raises(EnvelopeTripped, match="i2t"):
+        w.check(sample(10.75, 0.0, command=2.0))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_measured_torque_trips_in_the_tenth_cycle_above_one_and_a_half_times_the_limit(
+    sign: float,
+) -> None:
+    w = exact()
+    limit = 1.5 * (1 + 1e-9)
+    for n in range(20):
+        w.check(sample(n * TICK, 0.0, torque=sign * limit))
+    for n in range(20, 29):
+        w.check(sample(n * TICK, 0.0, torque=sign * beyond(1.5)))
+    with pytest.raises(
+        EnvelopeTripped, match=r"measures a torque of -?1\.5 N\.m against a limit of 1 N\.m"
+    ):
+        w.check(sample(29 * TICK, 0.0, torque=sign * beyond(1.5)))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_twentieth_of_the_travel_itself_is_no_motion_while_the_drive_takes_over(
+    sign: float,
+) -> None:
+    exact(travel=20.0).check(sample(0.0, sign * 1.0))
+    with pytest.raises(EnvelopeTripped, match="while the drive was enabled"):
+        exact(travel=20.0).check(sample(0.0, sign * beyond(1.0)))
+
+
+def test_what_is_said_is_what_is_beyond_its_limit_and_not_what_is_at_it() -> None:
+    at_travel = exact()
+    at_travel.check(sample(0.0, 0.0))
+    at_travel.check(sample(1.0, 0.375))
+    with pytest.raises(EnvelopeTripped, match=r"^speed"):
+        at_travel.check(sample(1.0 + TICK, 0.5))
+    at_speed = exact(rated=0.5, thermal=2.0, heat=2.0)
+    at_speed.check(sample(0.0, 0.0))
+    with pytest.raises(EnvelopeTripped, match="i2t"):
+        at_speed.check(sample(TICK, 8.0 * TICK, command=1.0))
+    at_heat = exact(duration=1.0, rated=0.5, thermal=1.5, torque=2.0)
+    at_heat.check(sample(0.0, 0.0))
+    with pytest.raises(EnvelopeTripped, match=r"^duration"):
+        at_heat.check(sample(2.0, 0.0, command=1.0))
+    plain = exact()
+    plain.check(sample(0.0, 0.0))
+    with pytest.raises(EnvelopeTripped) as tripped:
+        plain.check(sample(TICK, 0.25))
+    assert "for the first motions" not in str(tripped.value)

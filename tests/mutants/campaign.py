@@ -1,8 +1,9 @@
 """make mutants: change the code that keeps people safe, and see that some test notices.
 
 300 mutants drawn by a fixed seed, and every comparison and every deleted call of the innermost modules. A
-call goes on where the last one ended, for about nine minutes; `.mutants/` keeps what is known. The last line
-is `mutants: N of M tried, K killed, L live`.
+call goes on where the last one ended, for about nine minutes; `.mutants/` keeps what is known. `afresh` begins
+anew; paths of tests that are new, or changed, add what they see, and what lived is tried again. The last line is
+`mutants: N of M tried, K killed, L live`.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import sys
 import time
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 from tests.mutants.contexts import DURATIONS
 from tests.mutants.mutate import Mutant, mutants_of
@@ -53,30 +55,36 @@ def chosen() -> list[Mutant]:
     return [every[name] for name in dict.fromkeys([*names, *drawn])]
 
 
-def look() -> None:
-    """Find out which tests see which lines."""
-    shutil.rmtree(KNOWN, ignore_errors=True)
-    KNOWN.mkdir()
-    environment = {**os.environ, DURATIONS: str(KNOWN / "durations.json")}
-    environment["COVERAGE_FILE"] = str(KNOWN / "coverage")
+def look(*paths: str) -> None:
+    """Find out which tests see which lines; with `paths`, of the tests there alone, added to what is known."""
+    if not paths:
+        shutil.rmtree(KNOWN, ignore_errors=True)
+    KNOWN.mkdir(exist_ok=True)
+    fresh = KNOWN / "durations.new.json"
+    environment = {**os.environ, DURATIONS: str(fresh), "COVERAGE_FILE": str(KNOWN / "coverage")}
     run = ["-m", "coverage", "run", "-m", "pytest", "-p", "tests.mutants.contexts", "-q"]
     run += ["-n", "auto", "--dist", "loadgroup", "-m", "not real_time", "--timeout", "400"]
-    subprocess.run([sys.executable, *run], cwd=ROOT, env=environment, check=True)
-    subprocess.run(
-        [sys.executable, "-m", "coverage", "combine", "-q"], cwd=ROOT, env=environment, check=True
-    )
+    for words in ([*run, *paths], ["-m", "coverage", "combine", "-q"]):
+        subprocess.run([sys.executable, *words], cwd=ROOT, env=environment, check=True)
     from coverage import CoverageData
 
     data = CoverageData(str(KNOWN / "coverage"))
     data.read()
-    seen = {
-        file: {
-            str(line): sorted(test for test in tests if "::" in test)
-            for line, tests in data.contexts_by_lineno(str(ROOT / file)).items()
-        }
-        for file in POOL
-    }
+    seen = _read("seen.json")
+    for file in POOL:
+        known_lines = seen.setdefault(file, {})
+        for line, tests in data.contexts_by_lineno(str(ROOT / file)).items():
+            there = set(known_lines.get(str(line), [])) | {test for test in tests if "::" in test}
+            known_lines[str(line)] = sorted(there)
     (KNOWN / "seen.json").write_text(json.dumps(seen), "utf-8")
+    durations = _read("durations.json") | json.loads(fresh.read_text("utf-8"))
+    (KNOWN / "durations.json").write_text(json.dumps(durations), "utf-8")
+
+
+def _read(name: str) -> dict[str, Any]:
+    path = KNOWN / name
+    found: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.exists() else {}
+    return found
 
 
 def tests_for(
@@ -162,8 +170,7 @@ def copy_of_the_tree(number: int) -> Path:
 def work(number: int, todo: list[Mutant], until: float) -> None:
     """One worker's share, as far as time allows."""
     tree = copy_of_the_tree(number)
-    seen = json.loads((KNOWN / "seen.json").read_text())
-    durations = json.loads((KNOWN / "durations.json").read_text())
+    seen, durations = _read("seen.json"), _read("durations.json")
     with (KNOWN / f"results-{number}.jsonl").open("a", encoding="utf-8") as results:
         for mutant in todo:
             if time.monotonic() > until:
@@ -188,10 +195,13 @@ def known() -> dict[str, dict[str, str]]:
 def main() -> int:
     """Go on for some minutes, then say what is known."""
     until = time.monotonic() + 60 * MINUTES
-    if "afresh" in sys.argv or not (KNOWN / "seen.json").exists():
-        look()
+    paths = sys.argv[1:]
+    if paths or not (KNOWN / "seen.json").exists():
+        look(*(path for path in paths if path != "afresh"))
     mutants = chosen()
     tried = known()
+    if paths:
+        tried = {name: found for name, found in tried.items() if found["outcome"]}
     todo = [mutant for mutant in mutants if mutant.name not in tried]
     for name in _HEAVY:
         __import__(name)

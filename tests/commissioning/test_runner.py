@@ -192,8 +192,17 @@ def test_a_plan_that_leaves_the_axis_moving_ends_with_the_stop_path(
 ) -> None:
     ways = []
     stop, disable = drive.stop, drive.disable
-    monkeypatch.setattr(drive, "stop", lambda hurry: (ways.append("stop"), stop())[1])
-    monkeypatch.setattr(drive, "disable", lambda: (ways.append("disable"), disable())[1])
+
+    def stopped(hurry: object) -> StopReport:
+        ways.append("stop")
+        return stop()
+
+    def disabled() -> None:
+        ways.append("disable")
+        disable()
+
+    monkeypatch.setattr(drive, "stop", stopped)
+    monkeypatch.setattr(drive, "disable", disabled)
     run(push(), drive, WIDE, Recorder(), Interruption(), leave_moving=True)
     run(push(), drive, WIDE, Recorder(), Interruption())
     assert ways == ["stop", "disable"]

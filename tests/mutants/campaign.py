@@ -1,9 +1,9 @@
 """make mutants: change the code that keeps people safe, and see that some test notices.
 
-300 mutants drawn by a fixed seed, and every comparison and every deleted call of the innermost modules. A
-call goes on where the last one ended, for about nine minutes; `.mutants/` keeps what is known. `afresh` begins
-anew; paths of tests that are new, or changed, add what they see, and what lived is tried again. The last line is
-`mutants: N of M tried, K killed, L live`.
+300 mutants drawn by a fixed seed, and every comparison and every deleted call of the innermost modules.
+A call goes on where the last one ended, for about nine minutes; `.mutants/` keeps what is known. `afresh`
+begins anew; paths of tests that are new, or changed, add what they see, and what lived is tried again.
+The last line is `mutants: N of M tried, K killed, L live`.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def chosen() -> list[Mutant]:
 
 
 def look(*paths: str) -> None:
-    """Find out which tests see which lines; with `paths`, of the tests there alone, added to what is known."""
+    """Find out which tests see which lines; of those at `paths` alone, added to what is known."""
     if not paths:
         shutil.rmtree(KNOWN, ignore_errors=True)
     KNOWN.mkdir(exist_ok=True)

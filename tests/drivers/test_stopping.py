@@ -1,0 +1,233 @@
+"""The stop path against a drive of a few lines: what is sent, in which order, how long is waited."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf
+
+import pytest
+
+from drivers.drive import StopReport
+from drivers.serial_port import SerialPort
+from drivers.stopping import Rest, StopPath
+from profiles.errors import AccessDenied, LinkLost
+from profiles.library import load_profile
+from profiles.schema import Address, Profile
+
+CANOPEN, MODBUS = load_profile("virtual-canopen"), load_profile("virtual-modbus")
+REVOLUTION = 1000.0  # increments
+
+
+class Motor:
+    """A drive that decelerates, coasts or runs away, and loses its energy when it is told to.
+
+    Parameters
+    ----------
+    motion : increments from each look to the next; 0 after the last
+    rests_after : looks until the quick stop has de-energised the drive; None: never
+    obeys : loses its energy on 'disable voltage'
+    """
+
+    def __init__(
+        self, profile: Profile, motion: list[float] = [], rests_after: int | None = None, *,  # noqa: B006
+        obeys: bool = True,
+    ) -> None:  # fmt: skip
+        self.profile = profile
+        self.control = profile.parameters["controlword"].address
+        self.position_at = profile.parameters["position_actual"].address
+        self.energised = True
+        self.posts: list[tuple[str, int]] = []
+        self.waits = 0
+        self.looks = 0
+        self.broken: set[str] = set()
+        self._names = {str(p.address): name for name, p in profile.parameters.items()}
+        self._motion, self._position = list(motion), 0.0
+        self._rests_after, self._obeys = rests_after, obeys
+        self.lent: int | None = 7
+
+    # -- the bus ---------------------------------------------------------------------------------
+
+    def post(self, address: Address, raw: int) -> None:
+        self.posts.append((self._names[str(address)], raw))
+        if "post" in self.broken:
+            raise LinkLost("cable")
+        if (address, raw) == (self.control, 0) and self._obeys:
+            self.energised = False
+
+    def read(self, address: Address) -> int:
+        assert address == self.position_at
+        if "read" in self.broken:
+            raise AccessDenied("no")
+        return round(self._position)
+
+    def wait(self, seconds: float) -> None:
+        assert seconds == 0.005
+        self.waits += 1
+        if "wait" in self.broken:
+            raise LinkLost("no time")
+        self._position += self._motion.pop(0) if self._motion else 0.0
+        if self._rests_after is not None and self.waits >= self._rests_after:
+            self.energised = False
+
+    def descriptor(self) -> int | None:
+        return self.lent
+
+    def port(self) -> SerialPort | None:
+        return None
+
+    def frame(self, address: Address, raw: int) -> bytes:
+        return f"{self._names[str(address)]}={raw}".encode()
+
+    # -- and what asks it ------------------------------------------------------------------------
+
+    def is_energised(self) -> bool:
+        self.looks += 1
+        if "look" in self.broken:
+            raise LinkLost("silent")
+        return self.energised
+
+    def path(self, revolution: float = REVOLUTION) -> StopPath:
+        return StopPath(self, self.profile, self.is_energised, revolution)  # type: ignore[arg-type]
+
+    def rest(self) -> Rest:
+        return Rest(self.profile.parameters["torque_target"].address, 5)
+
+    def stop(
+        self, *, hurry: Callable[[], bool] = lambda: False, revolution: float = REVOLUTION
+    ) -> tuple[StopReport, list[str]]:
+        done: list[str] = []
+        report = self.path(revolution).stop(self.rest(), hurry, lambda: done.append("rested"))
+        return report, done
+
+
+QUICK, REST, DISABLE = ("controlword", 2), ("torque_target", 5), ("controlword", 0)
+
+
+@pytest.mark.parametrize(
+    ("profile", "order"),
+    [(CANOPEN, [QUICK, REST, DISABLE]), (MODBUS, [REST, QUICK, DISABLE])],
+    ids=lambda value: getattr(value, "name", ""),
+)
+def test_rest_and_quick_stop_go_before_the_energy_does(
+    profile: Profile, order: list[tuple[str, int]]
+) -> None:
+    """Where both travel in one frame the controlword is first, so that none enables once more."""
+    motor = Motor(profile, rests_after=3)
+    report, done = motor.stop()
+    assert motor.posts == order
+    assert motor.waits == 3, "the drive is waited for, and not longer"
+    assert report == StopReport(True)
+    assert done == ["rested"]
+
+
+def test_a_drive_that_brakes_for_long_is_waited_for_as_long_as_its_profile_says() -> None:
+    motor = Motor(CANOPEN, motion=[9.0] * 500)
+    report, _ = motor.stop()
+    assert motor.waits == round(CANOPEN.stop_time / 0.005)
+    assert report.deenergised
+    short = Motor(CANOPEN.model_copy(update={"stop_time": 0.001}))
+    short.stop()
+    assert short.waits == 3, "three looks at least"
+
+
+def test_in_a_hurry_nothing_is_waited_for() -> None:
+    motor = Motor(CANOPEN)
+    report, _ = motor.stop(hurry=lambda: True)
+    assert motor.waits == 0
+    assert motor.posts == [QUICK, REST, DISABLE]
+    assert report.deenergised
+
+
+def test_a_second_signal_ends_the_waiting() -> None:
+    motor = Motor(CANOPEN)
+    motor.stop(hurry=lambda: motor.waits >= 4)
+    assert motor.waits == 4
+
+
+@pytest.mark.parametrize(
+    ("motion", "waits"),
+    [
+        # the noise is 0.02 of 1000 increments, and the first looks at 30 allow 2 · 30 + 20 = 80
+        ([30, 30, 81, 81, 81], 5),
+        ([30, 30, 80, 80, 80, 80], 200),
+        ([30, 30, 81, 81, 80, 81, 81, 81], 8),
+        ([-30, -30, -81, -81, -81], 5),
+        ([10, 30, 79, 81, 81, 81], 6),
+        ([100, 30, 219, 219, 219], 200),
+        ([100, 30, 221, 221, 221], 5),
+    ],
+)
+def test_an_axis_that_becomes_faster_loses_its_energy_at_once(
+    motion: list[float], waits: int
+) -> None:
+    motor = Motor(CANOPEN, motion)
+    motor.stop()
+    assert motor.waits == waits
+
+
+def test_speeds_are_not_judged_where_a_revolution_is_not_known_or_no_position_is_told() -> None:
+    runaway = [10, 10, *([9000.0] * 300)]
+    unknown = Motor(CANOPEN, runaway)
+    unknown.broken.add("read")
+    unknown.stop(revolution=inf)
+    silent = Motor(CANOPEN, runaway)
+    silent.broken.add("read")
+    report, _ = silent.stop()
+    assert unknown.waits == silent.waits == 200
+    assert report.failures == ()
+
+
+def test_a_drive_that_keeps_its_energy_is_looked_at_for_as_long_and_said_to() -> None:
+    motor = Motor(CANOPEN, obeys=False)
+    report, done = motor.stop(hurry=lambda: True)
+    assert report == StopReport(False)
+    assert "STILL ENERGISED" in str(report)
+    assert motor.looks == motor.waits == 200
+    assert done == []
+
+
+def test_what_fails_is_told_once_and_keeps_nothing_back() -> None:
+    motor = Motor(CANOPEN)
+    motor.broken |= {"post", "look", "wait"}
+    report, done = motor.stop()
+    assert motor.posts == [QUICK, REST, DISABLE]
+    assert report.deenergised is None
+    assert report.failures == ("cable", "silent")
+    assert "NOT verified" in str(report)
+    assert motor.looks == 2, "once while it brakes, once after"
+    assert done == []
+
+
+def test_a_wait_that_fails_does_not_end_the_looking() -> None:
+    motor = Motor(CANOPEN, obeys=False)
+    motor.broken.add("wait")
+    report, _ = motor.stop(hurry=lambda: True)
+    assert motor.looks == 200
+    assert report == StopReport(False, ("no time",))
+
+
+def test_an_error_without_words_is_told_by_its_kind() -> None:
+    motor = Motor(CANOPEN, rests_after=1)
+
+    def fails() -> None:
+        raise ZeroDivisionError
+
+    report = motor.path().stop(motor.rest(), lambda: False, fails)
+    assert report == StopReport(True, ("ZeroDivisionError",))
+
+
+def test_the_frames_for_another_process_are_written_three_times_with_their_pauses() -> None:
+    frames = Motor(MODBUS).path().frames(Motor(MODBUS).rest())
+    assert frames is not None
+    assert frames.descriptor == 7
+    halt = [(b"torque_target=5", 0.03), (b"controlword=2", 0.03)]
+    assert frames.frames == (
+        *halt, *halt, halt[0], (b"controlword=2", MODBUS.stop_time),
+        *[(b"controlword=0", 0.03)] * 3,
+    )  # fmt: skip
+
+
+def test_a_bus_that_others_connect_to_needs_no_frames() -> None:
+    motor = Motor(MODBUS)
+    motor.lent = None
+    assert motor.path().frames(motor.rest()) is None

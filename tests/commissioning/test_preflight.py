@@ -237,7 +237,7 @@ def test_everything_that_a_job_leaves_as_found_is_journalled_before_it_moves(
 def test_a_drive_that_is_enabled_by_being_prepared_is_stopped_and_refused(
     drive: ProfiledDrive, settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stops = []
+    stops: list[bool] = []
     stop, write = drive.stop, drive.write_raw
 
     def written(name: str, raw: int) -> None:

@@ -133,7 +133,7 @@ def _run(tree: Path, tests: list[str]) -> None:
     null = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1, 2):
         os.dup2(null, stream)
-    options = ["-x", "-q", "-p", "no:xdist", "-p", "no:benchmark", "--timeout", "60"]
+    options = ["-x", "-q", "--timeout", "60"]
     code = 1
     try:
         code = int(pytest.main([*options, "--rootdir", str(tree), *tests]))

@@ -1,0 +1,55 @@
+"""Whether a process lives, and is still the one that was meant."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from typing import Any
+
+import psutil
+import pytest
+
+from commissioning.processes import is_alive, start, this_process
+
+
+def test_this_process_is_alive_and_is_told_from_a_later_one_of_its_number() -> None:
+    me = this_process()
+    assert me["pid"] == os.getpid()
+    assert is_alive(me["pid"], me["started"])
+    assert is_alive(me["pid"]), "by its number alone, as earlier versions noted it"
+    assert is_alive(me["pid"], me["started"] + 1.0), "the clock was set a little"
+    assert not is_alive(me["pid"], me["started"] - 3600.0), "its number was given again"
+
+
+@pytest.mark.parametrize("pid", [0, -1, 2**31, 2**70, None, "1", 1.5])
+def test_what_is_no_number_of_a_process_is_not_alive(pid: object) -> None:
+    assert not is_alive(pid)
+
+
+def test_a_process_that_has_ended_is_not_alive_even_where_nobody_has_asked_how() -> None:
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        assert is_alive(process.pid)
+        assert process.stdin is not None
+        process.stdin.close()
+        psutil.Process(process.pid)
+        while psutil.Process(process.pid).status() != psutil.STATUS_ZOMBIE:
+            pass
+        assert not is_alive(process.pid)
+    assert not is_alive(process.pid)
+
+
+def test_a_process_of_another_user_counts_as_alive(monkeypatch: pytest.MonkeyPatch) -> None:
+    def denied(self: Any) -> str:
+        raise psutil.AccessDenied
+
+    monkeypatch.setattr(psutil.Process, "status", denied)
+    assert is_alive(os.getpid())
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sessions are POSIX'")
+def test_a_child_is_out_of_reach_of_a_ctrl_c_in_our_terminal() -> None:
+    with start("commissioning", "--version", stdout=subprocess.PIPE, text=True) as child:
+        assert os.getsid(child.pid) == child.pid != os.getsid(0)
+        assert child.stdout is not None
+        assert "version" in child.stdout.read()

@@ -1,0 +1,261 @@
+"""Energy on and off by the state machine, and by a profile's procedure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from drivers.drive import Exchange
+from drivers.power import Cia402Power, ProcedurePower, perform, power_of
+from profiles.errors import DriveFault, PreflightRefused, WriteFailed
+from profiles.library import load_profile
+from profiles.schema import Address, Profile, Step
+
+CANOPEN, MODBUS = load_profile("virtual-canopen"), load_profile("virtual-modbus")
+LEADSHINE = load_profile("leadshine-el7")
+DISABLED, READY, SWITCHED, ENABLED, FAULT = 0x40, 0x21, 0x23, 0x27, 0x08  # CiA 402 statuswords
+
+
+class Machine:
+    """A drive that answers to writes as it is told; each exchange is a cycle of 10 ms."""
+
+    cycle = 0.01
+
+    def __init__(self, profile: Profile, react: Callable[[Machine, str, int], None]) -> None:
+        self.profile = profile
+        self.values = dict.fromkeys(profile.parameters, 0)
+        self.frames: list[tuple[int, ...]] = []
+        self.written: list[tuple[str, int]] = []
+        self.waited = 0.0
+        self.in_cycle: Callable[[Machine], None] = lambda machine: None
+        self._react = react
+        self._names = {str(p.address): name for name, p in profile.parameters.items()}
+
+    def read(self, address: Address) -> int:
+        return self.values[self._names[str(address)]]
+
+    def write(self, address: Address, raw: int) -> None:
+        name = self._names[str(address)]
+        self.written.append((name, raw))
+        self._react(self, name, raw)
+
+    def exchange(self, values: tuple[int, ...]) -> Exchange:
+        self.frames.append(values)
+        self.in_cycle(self)
+        return Exchange((), values, 0.0, 0.0, 0.0, 0)
+
+    def wait(self, seconds: float) -> None:
+        self.waited += seconds
+        self.in_cycle(self)
+
+
+def obedient(machine: Machine, name: str, raw: int) -> None:
+    """CiA 402, each transition at once."""
+    word = machine.values["statusword"]
+    ways = {
+        (DISABLED, 6): READY, (READY, 7): SWITCHED, (SWITCHED, 15): ENABLED, (ENABLED, 7): SWITCHED,
+        (SWITCHED, 6): READY, (READY, 0): DISABLED,
+    }  # fmt: skip
+    machine.values["statusword"] = ways.get((word, raw), word)
+
+
+def cia402(machine: Machine) -> Cia402Power:
+    return Cia402Power(machine, machine.profile, lambda: "described")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("profile", [CANOPEN, MODBUS], ids=lambda p: p.name)
+def test_the_state_machine_is_walked_up_and_down_step_by_step(profile: Profile) -> None:
+    machine = Machine(profile, obedient)
+    machine.values["statusword"] = DISABLED
+    power = cia402(machine)
+    assert not power.is_energised()
+    power.enable(power.idle())
+    assert [raw for _, raw in machine.written] == [6, 7, 15]
+    assert power.is_energised()
+    machine.written.clear()
+    power.disable(power.idle())
+    assert [raw for _, raw in machine.written] == [7, 6, 0]
+    assert not power.is_energised()
+
+
+def test_the_controlword_in_the_cycle_follows_the_walk() -> None:
+    """While a transition takes its time, the cycle repeats the controlword that asked for it."""
+
+    def slow(machine: Machine, name: str, raw: int) -> None:
+        machine.in_cycle = lambda m: obedient(m, name, raw) if len(m.frames) % 3 == 0 else None
+
+    machine = Machine(CANOPEN, slow)
+    machine.values["statusword"] = DISABLED
+    power = cia402(machine)
+    power.enable(power.idle())
+    assert [frame[0] for frame in machine.frames] == [6] * 3 + [7] * 3 + [15] * 3
+
+
+def test_a_transition_that_never_comes_is_refused_after_its_time() -> None:
+    machine = Machine(MODBUS, lambda machine, name, raw: None)
+    machine.values["statusword"] = DISABLED
+    with pytest.raises(
+        PreflightRefused, match="does not become enabled: it stays 'switch on disabled'"
+    ):
+        cia402(machine).enable([0, 0])
+    seconds = len(machine.frames) * machine.cycle
+    machine.values["statusword"] = ENABLED
+    machine.frames.clear()
+    with pytest.raises(
+        PreflightRefused, match="does not become disabled: it stays 'operation enabled'"
+    ):
+        cia402(machine).disable([0, 0])
+    assert seconds == pytest.approx(len(machine.frames) * machine.cycle)
+    assert seconds == pytest.approx(2.0, abs=0.02)
+
+
+def test_a_fault_and_a_fall_while_enabling_end_the_walk() -> None:
+    def faulty(machine: Machine, name: str, raw: int) -> None:
+        machine.values["statusword"] = FAULT
+
+    machine = Machine(MODBUS, faulty)
+    machine.values["statusword"] = DISABLED
+    with pytest.raises(DriveFault, match="went into fault while enabling: described"):
+        cia402(machine).enable([0, 0])
+    assert cia402(machine).in_fault()
+    cia402(machine).disable([0, 0])  # a fault has no energy: it is there already
+
+    def falling(machine: Machine, name: str, raw: int) -> None:
+        obedient(machine, name, raw)
+        if raw == 15:
+            machine.values["statusword"] = DISABLED
+
+    machine = Machine(MODBUS, falling)
+    machine.values["statusword"] = DISABLED
+    with pytest.raises(
+        DriveFault, match=r"fell back to 'switch on disabled' .* it is not tried again"
+    ):
+        cia402(machine).enable([0, 0])
+    assert [raw for _, raw in machine.written] == [6, 7, 15]
+
+
+def test_a_fault_is_acknowledged_by_an_edge() -> None:
+    machine = Machine(MODBUS, lambda machine, name, raw: None)
+    cia402(machine).acknowledge()
+    assert machine.written == [("controlword", 0), ("controlword", 0x80), ("controlword", 0)]
+
+
+# -- by a procedure -----------------------------------------------------------------------------------
+
+
+def leadshine(machine: Machine, name: str, raw: int) -> None:
+    """Bit 1 of the operation status while the input function says so."""
+    machine.values[name] = raw
+    if name == "input_1_function":
+        machine.values["operation_status"] = 2 if raw == 131 else 0
+
+
+def procedure(machine: Machine) -> ProcedurePower:
+    made = power_of(machine, machine.profile, lambda: "described")  # type: ignore[arg-type]
+    assert isinstance(made, ProcedurePower)
+    return made
+
+
+def test_a_procedure_enables_disables_and_tells_its_state() -> None:
+    machine = Machine(LEADSHINE, leadshine)
+    power = procedure(machine)
+    assert power.text() == "disabled"
+    power.enable(power.idle())
+    assert machine.written == [("input_1_function", 131)]
+    assert power.is_energised()
+    assert power.text() == "enabled"
+    power.disable(power.idle())
+    assert not power.is_energised()
+    machine.values["alarm"] = 0x0152
+    assert power.in_fault()
+    assert power.text() == "fault (alarm 0152h)"
+    power.acknowledge()
+    assert machine.written[-1] == ("control", 4369)
+
+
+def test_a_procedure_without_a_reset_says_so() -> None:
+    assert LEADSHINE.power is not None
+    bare = LEADSHINE.model_copy(update={"power": LEADSHINE.power.model_copy(update={"reset": ()})})
+    with pytest.raises(PreflightRefused, match="has no way to reset a fault"):
+        procedure(Machine(bare, leadshine)).acknowledge()
+
+
+def test_a_procedure_waits_for_its_sign_and_not_for_ever() -> None:
+    machine = Machine(LEADSHINE, lambda machine, name, raw: None)
+    with pytest.raises(
+        PreflightRefused, match="does not become enabled: it stays 'disabled' for 2 s"
+    ):
+        procedure(machine).enable([0])
+    assert len(machine.frames) == pytest.approx(200, abs=1)
+
+    def late(machine: Machine) -> None:
+        machine.values["operation_status"] = 2 if len(machine.frames) == 5 else 0
+
+    machine = Machine(LEADSHINE, lambda machine, name, raw: None)
+    machine.in_cycle = late
+    procedure(machine).enable([0])
+    assert len(machine.frames) == 5
+    machine = Machine(LEADSHINE, lambda machine, name, raw: None)
+    machine.values["operation_status"] = 2
+    with pytest.raises(PreflightRefused, match="does not become disabled: it stays 'enabled'"):
+        procedure(machine).disable([0])
+
+
+def test_a_fault_while_a_procedure_enables_ends_it() -> None:
+    def faulty(machine: Machine, name: str, raw: int) -> None:
+        machine.values["alarm"] = 1
+
+    with pytest.raises(DriveFault, match="went into fault while enabling: described"):
+        procedure(Machine(LEADSHINE, faulty)).enable([0])
+
+
+def test_the_cycle_of_a_procedure_tells_enabled_and_fault() -> None:
+    power = procedure(Machine(LEADSHINE, leadshine))
+    into = LEADSHINE.cycle.in_
+
+    def status(**values: int) -> tuple[bool, bool]:
+        found = power.status(tuple(values.get(name, 0) for name in into))
+        return found.enabled, found.fault
+
+    assert status(operation_status=2) == (True, False)
+    assert status(operation_status=1) == (False, False)
+    if "alarm" in into:
+        assert status(operation_status=2, alarm=7) == (False, True)
+
+
+# -- steps --------------------------------------------------------------------------------------------
+
+
+def test_steps_write_and_wait_for_what_they_name() -> None:
+    machine = Machine(LEADSHINE, leadshine)
+    waits: list[float] = []
+
+    def wait() -> float:
+        waits.append(0.25)
+        machine.values["alarm"] = 0x31 if len(waits) == 3 else 0x22
+        return 0.25
+
+    steps = (
+        Step(write="control", raw=5),
+        Step(until="alarm", mask=0x0F, equals=1, within=1.0),
+        Step(write="control", raw=6),
+    )
+    perform(machine, LEADSHINE, steps, "store", wait)  # type: ignore[arg-type]
+    assert machine.written == [("control", 5), ("control", 6)]
+    assert len(waits) == 3
+
+
+def test_a_wait_in_vain_names_the_parameter_and_the_time() -> None:
+    machine = Machine(LEADSHINE, leadshine)
+    waits: list[float] = []
+
+    def wait() -> float:
+        waits.append(0.25)
+        return 0.25
+
+    steps = (Step(until="alarm", equals=3, within=1.0), Step(write="control", raw=6))
+    with pytest.raises(WriteFailed, match="store: 'alarm' reads 0 for 1 s instead of 3"):
+        perform(machine, LEADSHINE, steps, "store", wait)  # type: ignore[arg-type]
+    assert len(waits) == 4
+    assert machine.written == []

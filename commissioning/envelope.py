@@ -97,16 +97,14 @@ class Watch:
         offset = position - self._centre
         if elapsed > 0:
             velocity = (position - self._position) / elapsed
-            speed = velocity if velocity >= 0 else -velocity
+            speed = abs(velocity)
             ahead = self._c0 + (self._c1 + self._c2 * speed) * speed
-            far = offset if offset >= 0 else -offset
+            far = abs(offset)
             # at rest it may begin to move either way
-            reach = ahead + (offset if velocity > 0 else -offset if velocity < 0 else far)
-            if reach < far:  # noqa: PLR1730 (in every cycle)
-                reach = far
+            outwards = offset if velocity > 0 else -offset if velocity < 0 else far
+            reach = max(ahead + outwards, far)
             excess = sample.command * sample.command - self._rated2
-            heat = self._heat + excess * elapsed
-            self._heat = heat if heat > 0 else 0.0
+            self._heat = max(self._heat + excess * elapsed, 0.0)
             if (
                 speed > self._speed
                 or reach > self._travel
@@ -118,9 +116,7 @@ class Watch:
             self._began = time
             self._check_start(position)
         torque = sample.torque
-        if torque > self._torque * _MEASURED_TORQUE_SHARE or (
-            torque < -self._torque * _MEASURED_TORQUE_SHARE
-        ):
+        if abs(torque) > self._torque * _MEASURED_TORQUE_SHARE:  # never, where it is not measured
             self._over += 1
             if self._over >= _MEASURED_TORQUE_CYCLES:
                 e = self._envelope

@@ -194,7 +194,10 @@ def pass_on(port: serial.Serial, link: socket.socket, wanted: Callable[[], bool]
             way()
         with contextlib.suppress(OSError):
             link.shutdown(socket.SHUT_RDWR)
+        if not first_to_end.acquire(blocking=False):
+            link.close()
 
+    first_to_end = threading.Semaphore(1)
     port.timeout, port.write_timeout = _LOOK, None
     for way in (to_borrower, to_port):
         threading.Thread(target=ending, args=(way,), daemon=True).start()

@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
+import queue
+import select
+import socket
+import subprocess
+import sys
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import commissioning.guardian
-from commissioning.guardian import Guardian, guarded
+from commissioning import guardian_process
+from commissioning.guardian import NOBODY, Guardian, guarded
 from commissioning.journal import Journal
+from commissioning.processes import start
+from drivers.drive import StopReport
 from drivers.home import home
-from drivers.link import open_drive
+from drivers.link import axis_of, open_drive
 from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis
-from profiles.errors import DriveFault, PreflightRefused
+from profiles.errors import DriveFault, LinkLost, PreflightRefused
 from profiles.schema import Mode
 from tests.conftest import Serve
 from tests.serving import WIRES
@@ -207,3 +216,236 @@ def test_a_loop_that_rests_may_be_silent(serve: Serve, tmp_path: Path) -> None:
         drive.stop()
     with Journal(home()) as journal:
         assert journal.export("last")["events"] == []
+
+
+# -- the loop's end of the line, with processes that are none ---------------------------------------------
+
+
+def pretending(monkeypatch: pytest.MonkeyPatch, code: str) -> None:
+    """Instead of the guardian, a process that does this after it has heard its order."""
+
+    def start(module: str, **streams: Any) -> subprocess.Popen[bytes]:
+        assert module == "commissioning.guardian_process"
+        return subprocess.Popen([sys.executable, "-c", f"input(); {code}"], **streams)
+
+    monkeypatch.setattr(commissioning.guardian, "start", start)
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("print('no such profile')", "^no such profile$"),
+        ("print('readyish')", "^readyish$"),
+        ("pass", "^it does not answer$"),
+        ("import time; time.sleep(60)", "^it does not answer$"),
+    ],
+)
+def test_a_guardian_that_does_not_say_it_is_ready_is_none(
+    monkeypatch: pytest.MonkeyPatch, code: str, words: str
+) -> None:
+    pretending(monkeypatch, code)
+    monkeypatch.setattr(commissioning.guardian, "_READY", 0.5)
+    with pytest.raises(RuntimeError, match=words):
+        commissioning.guardian._process({"an": "order"})
+
+
+def test_what_a_guardian_says_beside_that_it_is_ready_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pretending(monkeypatch, "print('ready 4711', flush=True); input()")
+    process, place = commissioning.guardian._process({})
+    assert place == "4711"
+    Guardian(process).dismiss()
+    assert process.poll() is not None
+
+
+def test_a_guardian_that_reads_nothing_does_not_make_the_loop_wait(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pretending(monkeypatch, "print('ready', flush=True); import time; time.sleep(60)")
+    process, _ = commissioning.guardian._process({})
+    guardian = Guardian(process)
+    for _ in range(200_000):  # a pipe holds 65 536
+        guardian.feed()
+    monkeypatch.setattr(process, "wait", impatient(process.wait))
+    guardian.dismiss()
+    assert process.returncode is not None, "it was killed"
+    guardian.dismiss()
+    guardian.feed()
+
+
+def impatient(wait: Callable[..., int]) -> Callable[..., int]:
+    def waits(seconds: float | None = None) -> int:
+        if seconds is not None:
+            raise subprocess.TimeoutExpired("guardian", seconds)
+        return wait()
+
+    return waits
+
+
+def broken(word: bytes) -> None:
+    raise BrokenPipeError
+
+
+def test_a_dead_guardian_is_told_once_with_what_became_of_its_port() -> None:
+    def gone() -> None:
+        raise OSError("no such device")
+
+    for reclaim, words in (
+        (None, "the axis was stopped$"),
+        (lambda: None, "stopped through its port, which was opened here$"),
+        (gone, r"the guardian's port cannot be opened here \(no such device\)$"),
+    ):
+        guardian = Guardian(None, reclaim)
+        guardian._write = broken
+        with pytest.raises(DriveFault, match=words):
+            guardian.feed()
+        guardian.feed()
+        guardian._write = broken
+        guardian.rest()  # says nothing: the stop is under way
+
+
+def test_nobody_is_told_nothing() -> None:
+    for word in (NOBODY.arm, NOBODY.feed, NOBODY.rest, NOBODY.dismiss):
+        word()
+
+
+def test_stepped_drives_have_no_guardian(tmp_path: Path) -> None:
+    drive = open_drive(axis_of("virtual://bench"))
+    with guarded(drive, axis_of("virtual://bench"), tmp_path, "x", tmp_path) as guardian:
+        assert guardian is NOBODY
+    drive.close()
+
+
+# -- the guardian's own process ---------------------------------------------------------------------------
+
+
+class Idle:
+    """What must be stopped, and never is."""
+
+    idled = 0
+
+    def idle(self) -> None:
+        self.idled += 1
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        ([b"a", b".", b"q"], ""),
+        ([b"a..q"], ""),
+        ([b"a", b"."], "the loop was silent for more than 100 ms"),
+        ([b"ra"], "the loop was silent for more than 100 ms"),
+        ([b"r", b"a"], "the loop was silent for more than 100 ms"),
+        ([b"a", b"r", None, b"q"], ""),
+        ([b"ar", None, b"q"], ""),
+        ([b".", None, b"q"], ""),
+        ([None, b"q"], ""),
+        ([b"a", b"r", b""], "the loop has died"),
+        ([b""], "the loop has died"),
+    ],
+)
+def test_silence_counts_from_the_last_word_while_armed(
+    monkeypatch: pytest.MonkeyPatch, words: list[bytes | None], why: str
+) -> None:
+    """None: silence for three times as long as is allowed."""
+
+    def speak(line: queue.Queue[bytes]) -> None:
+        for word in words:
+            if word is None:
+                time.sleep(0.3)
+            else:
+                line.put(word)
+
+    monkeypatch.setattr(guardian_process, "_listen", speak)
+    stop = Idle()
+    assert guardian_process._watch(0.1, stop) == why  # type: ignore[arg-type]
+    assert bool(stop.idled) is (None in words or "silent" in why)
+
+
+def test_a_first_connection_that_died_is_not_the_last_try(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Connection:
+        def __init__(self, deenergised: bool | None) -> None:
+            self.deenergised, self.stops = deenergised, 0
+
+        def stop(self) -> StopReport:
+            self.stops += 1
+            return StopReport(self.deenergised)
+
+    def by(*connections: Connection) -> str:
+        left = list(connections)
+        monkeypatch.setattr(guardian_process._ByConnection, "_connected", lambda self: left.pop(0))
+        return guardian_process._ByConnection(Axis(name="a")).now()
+
+    dead, fresh = Connection(None), Connection(True)
+    assert by(dead, fresh) == "axis stopped and de-energised"
+    assert (dead.stops, fresh.stops) == (1, 1)
+    good, unused = Connection(True), Connection(True)
+    by(good, unused)
+    assert (good.stops, unused.stops) == (1, 0)
+    stuck, unused = Connection(False), Connection(True)
+    assert "STILL ENERGISED" in by(stuck, unused)
+    assert unused.stops == 0
+
+    def gone(self: object) -> Connection:
+        raise LinkLost("cable")
+
+    lost = guardian_process._ByConnection.__new__(guardian_process._ByConnection)
+    lost._drive = Connection(None)  # type: ignore[assignment]
+    monkeypatch.setattr(guardian_process._ByConnection, "_connected", gone)
+    assert "NOT verified" in lost.now()
+
+
+@pytest.mark.parametrize(
+    ("order", "words", "code"),
+    [
+        ({"axis": {"link": "modbus-tcp://127.0.0.1:1", "profile": "virtual-modbus"}}, "cannot connect", 4),
+        ({"axis": {"link": "modbus-tcp://127.0.0.1:1", "profile": "nosuch"}}, "no profile named", 2),
+        ({"port": ["/dev/nosuch", 9600, "N", 1], "token": "x"}, "nosuch", 4),
+    ],
+)  # fmt: skip
+def test_a_guardian_that_cannot_reach_the_drive_says_why_and_ends(
+    monkeypatch: pytest.MonkeyPatch, order: dict[str, Any], words: str, code: int
+) -> None:
+    process = start("commissioning.guardian_process", stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    said_, _ = process.communicate(
+        json.dumps({"frames": [], "limit": 1.0, **order}).encode() + b"\n"
+    )
+    assert words in said_.decode()
+    assert process.returncode == code
+
+
+def test_a_port_is_lent_to_whoever_knows_the_token_and_to_nobody_after() -> None:
+    import tty
+
+    far, near = os.openpty()
+    tty.setraw(near)
+    owner = guardian_process._AsOwner([os.ttyname(near), 9600, "N", 1], "secret")
+    try:
+        with socket.create_connection(("127.0.0.1", owner.place)) as stranger:
+            stranger.sendall(b"wrong!")
+            assert stranger.recv(1) == b"", "hung up on"
+        with socket.create_connection(("127.0.0.1", owner.place)) as loop:
+            loop.sendall(b"secret")
+            loop.sendall(b"question")
+            assert read_all(far, 8) == b"question"
+            os.write(far, b"answer")
+            assert loop.recv(6, socket.MSG_WAITALL) == b"answer"
+            with pytest.raises(ConnectionError):
+                socket.create_connection(("127.0.0.1", owner.place)).close()
+            owner.write(b"stop")
+            assert read_all(far, 4) == b"stop"
+            loop.sendall(b"go on")
+            assert loop.recv(1) == b"", "what the loop says goes nowhere any more"
+            assert not select.select([far], [], [], 0.2)[0]
+    finally:
+        owner._port.close()
+        os.close(far)
+        os.close(near)
+
+
+def read_all(descriptor: int, count: int) -> bytes:
+    found = b""
+    while len(found) < count:
+        found += os.read(descriptor, count - len(found))
+    return found

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 
@@ -174,3 +177,157 @@ def test_stores_are_counted_for_each_drive(tmp_path: Path) -> None:
             for serial in ("0x1", "0x2")
         )
         assert [journal.storing(run) for run in (mine, other, mine, mine)] == [0, 0, 1, 2]
+
+
+# -- what only shows when something is odd --------------------------------------------------------------
+
+
+def test_a_journal_of_a_newer_version_is_left_alone(tmp_path: Path) -> None:
+    Journal(tmp_path).close()
+    with contextlib.closing(sqlite3.connect(tmp_path / "journal.sqlite")) as other:
+        other.execute("PRAGMA user_version=99")
+    with pytest.raises(JournalError, match=r"written by a newer tworelay \(schema 99\)"):
+        Journal(tmp_path)
+
+
+class _Busy:
+    """A database that another process holds for so many tries."""
+
+    def __init__(self, tries: int) -> None:
+        self.left, self.asked = tries, 0
+
+    def execute(self, text: str) -> _Busy:
+        if text == "PRAGMA journal_mode":
+            return self
+        assert text == "PRAGMA journal_mode=WAL"
+        self.asked += 1
+        self.left -= 1
+        if self.left >= 0:
+            raise sqlite3.OperationalError("database is locked")
+        return self
+
+    def fetchone(self) -> tuple[str]:
+        return ("delete",)
+
+
+def test_the_switch_to_a_write_ahead_log_waits_for_another_process(
+    journal: Journal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pauses: list[float] = []
+    monkeypatch.setattr("commissioning.journal.time.sleep", pauses.append)
+    database = journal._db
+    try:
+        journal._db = busy = cast("Any", _Busy(3))
+        journal._write_ahead()
+        assert (busy.asked, pauses) == (4, [0.05] * 3)
+        journal._db = busy = cast("Any", _Busy(1000))
+        pauses.clear()
+        with pytest.raises(sqlite3.OperationalError, match="locked"):
+            journal._write_ahead()
+        assert (busy.asked, len(pauses)) == (200, 199)
+    finally:
+        journal._db = database
+
+
+def test_a_write_that_fails_half_way_leaves_nothing_and_the_journal_usable(
+    journal: Journal, drive: Drive
+) -> None:
+    run = begin(journal)
+    Settings(journal, run, drive).write("compensation", "coulomb_positive", 50)
+    (intent,) = journal.intents(run)
+    with pytest.raises(JournalError):
+        journal.settle([intent.seq, cast("int", object())], "restored")
+    assert journal.intents(run, open_only=True) == [intent], "all of them, or none"
+    journal.settle([intent.seq], "restored")
+    assert journal.intents(run, open_only=True) == []
+
+
+def test_a_name_that_is_no_text_is_a_mistake_of_its_user(journal: Journal) -> None:
+    with pytest.raises(UsageError, match="no valid text"):
+        journal.run("\ud800")
+
+
+def test_runs_of_one_second_have_names_of_their_own(
+    journal: Journal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("commissioning.journal.time.time", lambda: 1_000_000_000.0)
+    first, second, third = (begin(journal) for _ in range(3))
+    assert (second, third) == (f"{first}-1", f"{first}-2")
+    assert journal.run(second).status == "running"
+    journal.finish(second, "completed")
+    assert journal.run(second).status == "completed"
+    assert journal.run(first).status == "running"
+
+
+def test_a_run_whose_values_or_fields_are_none_is_not_taken_in(
+    journal: Journal, drive: Drive, tmp_path: Path
+) -> None:
+    run = begin(journal)
+    Settings(journal, run, drive).write("compensation", "coulomb_positive", 50)
+    tree = json.loads(json.dumps(journal.export(run)))
+    with Journal(tmp_path / "other") as other:
+        for change, words in (
+            ({"old": 2**63}, "too large"), ({"new": -(2**63)}, "too large"), ({"old": "x"}, "invalid"),
+        ):  # fmt: skip
+            bad = json.loads(json.dumps(tree))
+            bad["intents"][0] |= change
+            with pytest.raises(UsageError, match=words):
+                other.adopt(bad, "x")
+        edge = json.loads(json.dumps(tree))
+        edge["run"]["axis"] = 5
+        with pytest.raises(UsageError, match="is no text"):
+            other.adopt(edge, "x")
+        with pytest.raises(UnknownName):
+            other.run("last")
+        edge = json.loads(json.dumps(tree))
+        edge["intents"][0]["old"] = 2**63 - 1
+        assert other.adopt(edge, "x") == run
+        assert other.intents(run)[0].old == 2**63 - 1
+
+
+def test_only_experiment_settings_that_are_not_back_make_a_run_unfinished(
+    journal: Journal, drive: Drive
+) -> None:
+    run, other = begin(journal, "1"), begin(journal, "2")
+    Settings(journal, run, drive).write("compensation", "coulomb_positive", 50)
+    assert journal.unfinished("1") == []
+    assert journal.open_runs() == [run]
+    assert journal.last_written() == run
+    settings = Settings(journal, other, drive)
+    settings.write("experiment", "max_torque", 500)
+    assert journal.unfinished("2") == [other]
+    assert journal.unfinished("1") == []
+    assert journal.last_written() == other
+    settings.restore()
+    assert journal.unfinished("2") == []
+    assert journal.open_runs() == [run]
+    assert journal.last_written() == other, "restored, and yet it wrote"
+
+
+def test_a_journal_that_wrote_nothing_has_no_last_writer(journal: Journal) -> None:
+    begin(journal)
+    assert journal.last_written() is None
+    assert journal.open_runs() == []
+
+
+def test_the_last_event_of_a_run_is_known(journal: Journal) -> None:
+    run, other = begin(journal), begin(journal)
+    assert not journal.noted(run, "a")
+    journal.note(run, "a")
+    assert journal.noted(run, "a")
+    assert not journal.noted(other, "a")
+    journal.note(run, "b")
+    assert not journal.noted(run, "a")
+    assert [e["text"] for e in journal.export(run)["events"]] == ["a", "b"]
+
+
+@pytest.mark.parametrize("serial", ["", "0x00000000"])
+def test_stores_of_drives_without_a_serial_are_counted_by_link(tmp_path: Path, serial: str) -> None:
+    with Journal(tmp_path) as journal:
+        mine, other = (
+            journal.begin(
+                axis="x", link=link, profile="p", profile_hash="h", serial=serial, context={}
+            )
+            for link in ("modbus-tcp://a", "modbus-tcp://b")
+        )
+        assert [journal.storing(run) for run in (mine, mine, other)] == [0, 1, 0]

@@ -198,6 +198,14 @@ def test_what_fails_is_told_once_and_keeps_nothing_back() -> None:
     assert done == []
 
 
+def test_a_drive_that_does_not_answer_after_the_stop_is_asked_once() -> None:
+    motor = Motor(CANOPEN)
+    motor.broken.add("look")
+    report, done = motor.stop(hurry=lambda: True)
+    assert report == StopReport(None, ("silent",))
+    assert (motor.looks, done) == (1, [])
+
+
 def test_a_wait_that_fails_does_not_end_the_looking() -> None:
     motor = Motor(CANOPEN, obeys=False)
     motor.broken.add("wait")

@@ -240,6 +240,13 @@ def test_a_measured_torque_trips_in_the_tenth_cycle_above_one_and_a_half_times_t
         w.check(sample(29 * TICK, 0.0, torque=sign * beyond(1.5)))
 
 
+def test_nine_cycles_of_too_much_torque_are_none_too_many_from_the_first_sample_on() -> None:
+    w = exact()
+    for n in range(9):
+        w.check(sample(n * TICK, 0.0, torque=2.0))
+    w.check(sample(9 * TICK, 0.0, torque=0.0))
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_twentieth_of_the_travel_itself_is_no_motion_while_the_drive_takes_over(
     sign: float,

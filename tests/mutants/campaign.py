@@ -93,7 +93,8 @@ def tests_for(
 ) -> list[list[str]]:
     """The tests that run a mutant's line, the quickest first, in two batches."""
     lines = seen[mutant.file]
-    tests = lines.get(str(mutant.line)) or sorted({t for found in lines.values() for t in found})
+    tests = [] if mutant.at_import else lines.get(str(mutant.line), [])
+    tests = tests or sorted({test for found in lines.values() for test in found})
     tests = sorted(tests, key=lambda test: durations.get(test, 1.0))
     spent = list(itertools.accumulate(durations.get(test, 1.0) for test in tests))
     first = [test for test, s in zip(tests, spent, strict=True) if s <= FIRST] or tests[:1]
@@ -176,7 +177,7 @@ def work(number: int, todo: list[Mutant], until: float) -> None:
     seen, durations = _read("seen.json"), _read("durations.json")
     for file in dict.fromkeys(mutant.file for mutant in todo):
         source = (tree / file).read_text("utf-8")
-        same = Mutant(file, 0, "other", "nothing", source)
+        same = Mutant(file, 0, True, "other", "nothing", source)
         if notice(tree, same, tests_for(same, seen, durations)[:1]):
             raise RuntimeError(f"the tests of {file} fail although nothing is changed")
     with (KNOWN / f"results-{number}.jsonl").open("a", encoding="utf-8") as results:

@@ -25,11 +25,13 @@ _ARITHMETIC: dict[type[ast.operator], tuple[str, str]] = {
 class Mutant:
     """One change: where, of which kind, and the whole source with it.
 
-    `kind` is comparison, call, or other.
+    `kind` is comparison, call, or other; `at_import`: it stands outside of every function, so that no test
+    is seen to run it.
     """
 
     file: str
     line: int
+    at_import: bool
     kind: str
     change: str
     source: str
@@ -69,12 +71,20 @@ def mutants_of(path: Path, root: Path) -> list[Mutant]:
     """Every mutant of a file, in order; words for people and annotations are left alone."""
     source, file = _Source(path), path.relative_to(root).as_posix()
     found: list[Mutant] = []
-    for node in _code(ast.parse(source.text)):
+    tree = ast.parse(source.text)
+    bodies = [
+        range(node.body[0].lineno, (node.end_lineno or 0) + 1)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef)
+    ]
+    for node in _code(tree):
         for kind, begin, end, new in _changes(node, source):
             line = source.text.count("\n", 0, begin) + 1
             old = " ".join(source.text[begin:end].split())
             change = f"`{old[:50]}` → `{new}`" + ("" if kind == "call" else _where(source, begin))
-            found.append(Mutant(file, line, kind, change, source.replaced(begin, end, new)))
+            at_import = not any(line in body for body in bodies)
+            mutated = source.replaced(begin, end, new)
+            found.append(Mutant(file, line, at_import, kind, change, mutated))
     return sorted(found, key=lambda mutant: mutant.line)
 
 

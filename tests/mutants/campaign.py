@@ -178,7 +178,7 @@ def work(number: int, todo: list[Mutant], until: float) -> None:
     for file in dict.fromkeys(mutant.file for mutant in todo):
         source = (tree / file).read_text("utf-8")
         same = Mutant(file, 0, True, "other", "nothing", source)
-        if notice(tree, same, tests_for(same, seen, durations)[:1]):
+        if notice(tree, same, [tests_for(same, seen, durations)[0][:10]]):
             raise RuntimeError(f"the tests of {file} fail although nothing is changed")
     with (KNOWN / f"results-{number}.jsonl").open("a", encoding="utf-8") as results:
         for mutant in todo:

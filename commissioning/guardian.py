@@ -18,20 +18,20 @@ import sys
 import threading
 from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from commissioning.processes import start
 from drivers.drive import Drive
 from profiles.axis import Axis
-from profiles.errors import DriveFault, PreflightRefused
+from profiles.errors import DriveFault, PreflightRefused, TwoRelayError
 
 if TYPE_CHECKING:
-    from drivers.serial_port import LentPort, SerialPort
+    from drivers.serial_port import SerialPort
 
 __all__ = ["NOBODY", "Guardian", "guarded"]
 
 _CYCLES, _SILENCE = 10, 0.25  # silence of the loop that is too long: cycles, and s at least
-_READY = 15.0  # s to start in
+_READY, _ENDING = 15.0, 2.0  # s to start and to end in
 INHERITS = sys.platform != "win32"  # a child process can be given an open port
 ARM, FEED, REST, DISMISS = b"a", b".", b"r", b"q"
 
@@ -39,25 +39,26 @@ ARM, FEED, REST, DISMISS = b"a", b".", b"r", b"q"
 class Guardian:
     """The loop's end of the line; without a process it does nothing.
 
-    Parameters
+    Attributes
     ----------
-    process : the guardian's
-    reclaim : takes the port back that it owns, once it has ended
+    reclaim : takes the port back that the guardian owns, once it has ended
     """
 
-    def __init__(
-        self,
-        process: subprocess.Popen[bytes] | None = None,
-        reclaim: Callable[[], None] | None = None,
-    ) -> None:
+    def __init__(self, process: subprocess.Popen[bytes] | None = None) -> None:
+        self.reclaim: Callable[[], None] | None = None
         self._process = process
-        self._reclaim = reclaim
-        self._write: Callable[[bytes], object] | None = None
+        self._is_dead = False
+        self._line: _Line | None = None
         if process is not None and process.stdin is not None:
-            self._write = _never_waiting(process.stdin.fileno())
+            self._line = _never_waiting(process.stdin.fileno())
 
     def arm(self) -> None:
-        """From now on silence is a failure."""
+        """From now on silence is a failure; raises DriveFault when the guardian has ended meanwhile."""
+        if self._is_dead:
+            raise DriveFault(
+                "the guardian process has ended, so nothing would stop the axis if this computer failed; "
+                "it is not moved"
+            )
         self._say(ARM)
 
     def feed(self) -> None:
@@ -70,14 +71,14 @@ class Guardian:
             self._say(REST)
 
     def _say(self, word: bytes) -> None:
-        if self._write is None:
+        if self._line is None:
             return
         try:
-            self._write(word)
+            self._line.write(word)
         except BlockingIOError:
             pass  # it has enough to read
         except OSError:
-            self._write = None
+            self._line, self._is_dead = None, True
             raise DriveFault(
                 "the guardian process has ended, so nothing would stop the axis if this computer failed; "
                 f"the axis was stopped{self._taken_back()}"
@@ -85,10 +86,10 @@ class Guardian:
 
     def _taken_back(self) -> str:
         """What became of the port that the guardian owned."""
-        if self._reclaim is None:
+        if self.reclaim is None:
             return ""
         try:
-            self._reclaim()
+            self.reclaim()
         except OSError as error:
             return (
                 f", by no way that is verified: the guardian's port cannot be opened here ({error})"
@@ -100,9 +101,12 @@ class Guardian:
         process, self._process = self._process, None
         if process is None:
             return
+        line = self._line
         with contextlib.suppress(DriveFault):
             self._say(DISMISS)
-        self._write = None
+        self._line = None
+        if line is not None:
+            line.end()
         for stream in (process.stdin, process.stdout):
             if stream is not None:
                 with contextlib.suppress(OSError):
@@ -162,13 +166,21 @@ def _started(
     elif frames.port is None:
         raise RuntimeError("this system lends no connection to a second process")
     else:
-        guardian = stack.enter_context(_lending(drive, frames.port, order))
+        patience = sum(pause for _, pause in frames.frames) + _ENDING
+        guardian = stack.enter_context(_lending(drive, frames.port, order, patience))
     return guardian
 
 
 @contextlib.contextmanager
-def _lending(drive: Drive, port: SerialPort, order: dict[str, object]) -> Generator[Guardian]:
-    """A guardian that owns the drive's port, through which the loop speaks meanwhile."""
+def _lending(
+    drive: Drive, port: SerialPort, order: dict[str, object], patience: float
+) -> Generator[Guardian]:
+    """A guardian that owns the drive's port, through which the loop speaks meanwhile.
+
+    `patience` : s for the guardian to stop the drive and end
+    """
+    from drivers.serial_port import LentPort
+
     token = secrets.token_hex(16)
     order |= {
         "port": [port.device, port.baudrate, port.parity, port.stopbits], "token": token,
@@ -178,26 +190,35 @@ def _lending(drive: Drive, port: SerialPort, order: dict[str, object]) -> Genera
     try:
         process, place = _process(order)
         guardian = Guardian(process)
-        lent = _through(int(place), token, port)
-        guardian = Guardian(process, lent.reclaim)
+        lent = LentPort(_link(int(place), token), port, patience)
+        guardian.reclaim = lent.reclaim
         drive.speak_through(lent)
         yield guardian
-    finally:
-        guardian.dismiss()
-        drive.speak_through(None)
-        with contextlib.suppress(OSError):  # a port that is gone shows at the next word
-            drive.speak_through(port.open_when_free())
+    except BaseException:
+        _take_back(drive, port, guardian, patience)
+        with contextlib.suppress(TwoRelayError):
+            if drive.is_energised():  # the guardian hung, and with it the way to stop
+                drive.stop()
+        raise
+    else:
+        _take_back(drive, port, guardian, patience)
 
 
-def _through(place: int, token: str, port: SerialPort) -> LentPort:
-    """The port, through the guardian that listens on `place` of this computer alone."""
-    from drivers.serial_port import LentPort
+def _take_back(drive: Drive, port: SerialPort, guardian: Guardian, patience: float) -> None:
+    """The guardian's port is the loop's again."""
+    guardian.dismiss()
+    drive.speak_through(None)
+    with contextlib.suppress(OSError):  # a port that is gone shows at the next word
+        drive.speak_through(port.open_when_free(patience))
 
+
+def _link(place: int, token: str) -> socket.socket:
+    """To the guardian that listens on `place` of this computer alone."""
     link = socket.create_connection(("127.0.0.1", place), _READY)
     link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     link.settimeout(None)
     link.sendall(token.encode())
-    return LentPort(link, port)
+    return link
 
 
 def _process(
@@ -230,28 +251,56 @@ def _line_within(process: subprocess.Popen[bytes], seconds: float) -> bytes:
         timer.join()
 
 
-def _never_waiting(descriptor: int) -> Callable[[bytes], object]:
-    """Write to a pipe; a full one raises BlockingIOError, or fills in the background."""
+class _Line(Protocol):
+    """A pipe to the guardian that makes nobody wait."""
+
+    def write(self, word: bytes) -> None:
+        """Raises BlockingIOError where the pipe is full, another OSError where nobody reads."""
+
+    def end(self) -> None:
+        """What was written last has left."""
+
+
+def _never_waiting(descriptor: int) -> _Line:
     if sys.platform == "win32" and sys.version_info < (3, 12):
-        return _Background(descriptor).put
-    os.set_blocking(descriptor, False)
-    return lambda word: os.write(descriptor, word)
+        return _Background(descriptor)
+    return _Pipe(descriptor)
+
+
+class _Pipe:
+    """A pipe that was told not to wait."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        if sys.platform != "win32" or sys.version_info >= (3, 12):
+            os.set_blocking(descriptor, False)
+
+    def write(self, word: bytes) -> None:
+        os.write(self._descriptor, word)
+
+    def end(self) -> None:
+        """It has left at once, or never will."""
 
 
 class _Background:
-    """Writes to a pipe from a thread of its own, where a pipe cannot be told not to wait."""
+    """A pipe that cannot be told not to wait, written to from a thread of its own."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
         self._words: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._is_broken = False
-        threading.Thread(target=self._run, daemon=True).start()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
 
-    def put(self, word: bytes) -> None:
+    def write(self, word: bytes) -> None:
         """One word more; raises BrokenPipeError once nobody reads."""
         if self._is_broken:
             raise BrokenPipeError
         self._words.put(word)
+
+    def end(self) -> None:
+        """Wait for what was written last, within reason."""
+        self._thread.join(_ENDING)
 
     def _run(self) -> None:
         word = b""

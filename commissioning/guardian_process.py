@@ -17,7 +17,7 @@ from typing import Any
 from commissioning.guardian import ARM, DISMISS, REST
 from commissioning.journal import Journal
 from drivers.drive import Drive, StopReport
-from drivers.serial_port import SerialPort, pass_on
+from drivers.serial_port import Lending, SerialPort
 from profiles.axis import Axis
 from profiles.errors import TwoRelayError
 
@@ -35,7 +35,7 @@ def main() -> int:
     try:
         if "port" in order:
             owner = _AsOwner(order["port"], order["token"])
-            stop, place = _ByFrames(owner.write, frames), f" {owner.place}"
+            stop, place = _ByFrames(owner.write, frames, owner.close), f" {owner.place}"
         elif "descriptor" in order:
             stop, place = _ByFrames(_to_descriptor(order["descriptor"]), frames), ""
         else:
@@ -86,9 +86,15 @@ class _ByConnection:
 class _ByFrames:
     """Frames made beforehand, and how to write them."""
 
-    def __init__(self, write: Callable[[bytes], object], frames: list[tuple[bytes, float]]) -> None:
+    def __init__(
+        self,
+        write: Callable[[bytes], object],
+        frames: list[tuple[bytes, float]],
+        close: Callable[[], None] = lambda: None,
+    ) -> None:
         self._write = write
         self._frames = frames
+        self._close = close
 
     def idle(self) -> None:
         """The port is the loop's."""
@@ -99,6 +105,7 @@ class _ByFrames:
             with contextlib.suppress(OSError):
                 self._write(frame)
             time.sleep(pause)
+        self._close()  # whoever waits for the port has it before the journal is written
         return "stop frames sent; not verified"
 
 
@@ -118,9 +125,9 @@ class _AsOwner:
 
     def __init__(self, port: list[Any], token: str) -> None:
         device, baudrate, parity, stopbits = port
-        self._port = SerialPort(device, baudrate, parity, stopbits, _LOOK).open_when_free()
+        self._lending = Lending(SerialPort(device, baudrate, parity, stopbits).open_when_free())
+        self.write, self.close = self._lending.write, self._lending.close
         self._token = token.encode()
-        self._is_lent = True
         self._listener = socket.create_server(("127.0.0.1", 0), backlog=1)
         self.place: int = self._listener.getsockname()[1]
         threading.Thread(target=self._lend, daemon=True).start()
@@ -131,18 +138,20 @@ class _AsOwner:
             link, _ = self._listener.accept()
             link.settimeout(_GREETING)
             with contextlib.suppress(OSError):
-                if link.recv(len(self._token), socket.MSG_WAITALL) == self._token:
+                if self._greeting(link) == self._token:
                     break
             link.close()
         self._listener.close()
         link.settimeout(None)
         link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        pass_on(self._port, link, lambda: self._is_lent)
+        self._lending.pass_on(link)
 
-    def write(self, frame: bytes) -> object:
-        """What we say; from now on what the loop says goes nowhere."""
-        self._is_lent = False
-        return self._port.write(frame)
+    def _greeting(self, link: socket.socket) -> bytes:
+        """As many bytes as the token has, or as there are."""
+        found = b""
+        while len(found) < len(self._token) and (more := link.recv(len(self._token) - len(found))):
+            found += more
+        return found
 
 
 def _watch(limit: float, stop: _ByConnection | _ByFrames) -> str:

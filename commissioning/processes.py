@@ -9,28 +9,35 @@ from typing import Any
 
 __all__ = ["is_alive", "start", "this_process"]
 
-_SAME = 2.0  # s: a clock may be set a little; a number that was given again is further off
+_SAME = 2.0  # s; a number that was given again is further off
 _LARGEST = 2**31
 
 
 def this_process() -> dict[str, Any]:
     """What `is_alive` knows this process by."""
+    return {"pid": os.getpid(), "started": _started(os.getpid())}
+
+
+def _started(pid: int) -> float:
+    """When a process started, s: since the computer did, where the system counts so; else by the clock."""
     import psutil
 
-    return {"pid": os.getpid(), "started": psutil.Process().create_time()}
+    since = (
+        psutil.boot_time() if sys.platform == "linux" else 0.0
+    )  # both follow a clock that is set
+    return float(psutil.Process(pid).create_time() - since)
 
 
 def is_alive(pid: object, started: object = None) -> bool:
-    """Whether the process `pid` of this computer runs, and is the one that `started` then, s."""
+    """Whether the process `pid` of this computer runs, and is the one that `started` then."""
     if not isinstance(pid, int) or not 0 < pid < _LARGEST:
         return False
     import psutil
 
     try:
-        process = psutil.Process(pid)
-        if process.status() == psutil.STATUS_ZOMBIE:
+        if psutil.Process(pid).status() == psutil.STATUS_ZOMBIE:
             return False
-        return not isinstance(started, float) or abs(process.create_time() - started) < _SAME
+        return not isinstance(started, float) or abs(_started(pid) - started) < _SAME
     except psutil.NoSuchProcess:
         return False
     except psutil.AccessDenied:

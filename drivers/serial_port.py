@@ -17,10 +17,10 @@ from typing import Protocol
 
 import serial
 
-__all__ = ["LentPort", "SerialPort", "Stream", "pass_on"]
+__all__ = ["Lending", "LentPort", "SerialPort", "Stream"]
 
 _CHUNK = 4096
-_TRIES, _PAUSE = 100, 0.02  # s: until a port is free whose owner has just ended
+_PAUSE = 0.02  # s between two tries to open a port whose owner is about to end
 _LOOK = 0.05  # s between two looks whether there is still somebody to pass bytes on to
 
 
@@ -63,7 +63,7 @@ class SerialPort:
     baudrate : bits a second
     parity : N, E or O
     stopbits : 1 or 2
-    timeout : s that a read may take; None: no end
+    timeout, write_timeout : s that a read or a write may take; None: no end
     """
 
     device: str
@@ -71,37 +71,41 @@ class SerialPort:
     parity: str = "N"
     stopbits: float = 1
     timeout: float | None = None
+    write_timeout: float | None = None
 
     def open(self) -> serial.Serial:
         """The open port, for this process alone; raises OSError, whatever the system raises."""
         try:
             return serial.Serial(
                 self.device, baudrate=self.baudrate, parity=self.parity, stopbits=self.stopbits,
-                timeout=self.timeout, write_timeout=self.timeout, exclusive=True,
+                timeout=self.timeout, write_timeout=self.write_timeout, exclusive=True,
             )  # fmt: skip
         except OSError:
             raise
         except Exception as error:  # termios' errors, which are no OSErrors
             raise OSError(*error.args) from None
 
-    def open_when_free(self) -> serial.Serial:
-        """The open port, as soon as its owner has ended; raises OSError."""
-        for left in reversed(range(_TRIES)):
+    def open_when_free(self, patience: float = 2.0) -> serial.Serial:
+        """The open port, as soon as its owner has ended, at most `patience` s from now; raises OSError."""
+        for _ in range(round(patience / _PAUSE)):
             with contextlib.suppress(OSError):
                 return self.open()
-            if left:
-                time.sleep(_PAUSE)
+            time.sleep(_PAUSE)
         return self.open()
 
 
 class LentPort:
-    """A port that another process owns, spoken to through `link`; this process' own once that is gone."""
+    """A port that another process owns, spoken to through `link`; this process' own once that is gone.
 
-    def __init__(self, link: socket.socket, port: SerialPort) -> None:
+    `patience` : s that the owner may take to end once it has hung up
+    """
+
+    def __init__(self, link: socket.socket, port: SerialPort, patience: float = 2.0) -> None:
         self.timeout = port.timeout
-        self.write_timeout = port.timeout  # a socket of this computer takes what is written
+        self.write_timeout = port.write_timeout
         self._link = link
         self._port = port
+        self._patience = patience
         self._own: serial.Serial | None = None
         self._heard = bytearray()
 
@@ -109,10 +113,12 @@ class LentPort:
         """Open the port here: its owner has ended. Raises OSError."""
         if self._own is None:
             self._link.close()
-            self._own = self._port.open_when_free()
+            self._own = self._port.open_when_free(self._patience)
 
     def _fill(self, seconds: float) -> None:
-        """Take what comes within `seconds`."""
+        """Take what comes within `seconds`; raises OSError."""
+        if self._own is None and self._link.fileno() < 0:
+            self.reclaim()
         if self._own is not None:
             self._own.timeout = seconds
             self._heard += self._own.read(max(self._own.in_waiting, 1))
@@ -150,7 +156,7 @@ class LentPort:
             try:
                 self._link.sendall(data)
                 return len(data)
-            except ConnectionError:
+            except OSError:
                 self.reclaim()
         assert self._own is not None
         return self._own.write(data) or 0
@@ -174,30 +180,51 @@ class LentPort:
         (self._own or self._link).close()
 
 
-def pass_on(port: serial.Serial, link: socket.socket, wanted: Callable[[], bool]) -> None:
-    """Begin to pass bytes on between a port and its borrower, both ways, while that is `wanted`.
+class Lending:
+    """An open port whose owner passes bytes on between it and a borrower, until it speaks itself."""
 
-    A port that fails ends the borrower's connection.
-    """
+    def __init__(self, port: serial.Serial) -> None:
+        self._port = port
+        self._is_lent = True
+        self._turn = threading.Lock()
+        port.timeout, port.write_timeout = _LOOK, None
 
-    def to_borrower() -> None:
-        while wanted():
-            if heard := port.read(max(port.in_waiting, 1)):
-                link.sendall(heard)
+    def pass_on(self, link: socket.socket) -> None:
+        """Begin to pass bytes on, both ways; a port that fails ends the borrower's connection."""
+        first_to_end = threading.Semaphore(1)
 
-    def to_port() -> None:
-        while (said := link.recv(_CHUNK)) and wanted():
-            port.write(said)
+        def to_borrower() -> None:
+            while self._is_lent:
+                if heard := self._port.read(max(self._port.in_waiting, 1)):
+                    link.sendall(heard)
 
-    def ending(way: Callable[[], None]) -> None:
-        with contextlib.suppress(OSError, TypeError):  # TypeError: closed meanwhile
-            way()
-        with contextlib.suppress(OSError):
-            link.shutdown(socket.SHUT_RDWR)
-        if not first_to_end.acquire(blocking=False):
-            link.close()
+        def to_port() -> None:
+            while said := link.recv(_CHUNK):
+                with self._turn:
+                    if not self._is_lent:
+                        return
+                    self._port.write(said)
 
-    first_to_end = threading.Semaphore(1)
-    port.timeout, port.write_timeout = _LOOK, None
-    for way in (to_borrower, to_port):
-        threading.Thread(target=ending, args=(way,), daemon=True).start()
+        def ending(way: Callable[[], None]) -> None:
+            with contextlib.suppress(OSError, TypeError):  # TypeError: closed meanwhile
+                way()
+            with contextlib.suppress(OSError):
+                link.shutdown(socket.SHUT_RDWR)
+            if not first_to_end.acquire(blocking=False):
+                link.close()
+
+        for way in (to_borrower, to_port):
+            threading.Thread(target=ending, args=(way,), daemon=True).start()
+
+    def write(self, data: bytes) -> None:
+        """What the owner says; from now on what the borrower says goes nowhere."""
+        self._is_lent = False
+        if self._turn.acquire(
+            timeout=_LOOK
+        ):  # a borrower's write that hangs does not hold the owner up
+            self._turn.release()
+        self._port.write(data)
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._port.close()

@@ -34,22 +34,29 @@ def replace(path: Path, content: bytes) -> None:
     Raises OSError. On Windows nobody's file can be replaced while somebody reads it: that is waited for.
     """
     fresh = path.with_name(f"{path.name}.{os.getpid()}.new")
-    with fresh.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    for left in reversed(range(_TRIES)):
-        try:
-            fresh.replace(path)
-            break
-        except PermissionError:
-            if not _WINDOWS or not left:
-                fresh.unlink()
-                raise
-            time.sleep(_PAUSE)
+    try:
+        with fresh.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        _rename(fresh, path)
+    except BaseException:
+        fresh.unlink(missing_ok=True)
+        raise
     if not _WINDOWS:  # the new name is to last as well
         folder = os.open(path.parent, os.O_RDONLY)
         try:
             os.fsync(folder)
         finally:
             os.close(folder)
+
+
+def _rename(fresh: Path, path: Path) -> None:
+    for left in reversed(range(_TRIES)):
+        try:
+            fresh.replace(path)
+            return
+        except PermissionError:
+            if not _WINDOWS or not left:
+                raise
+            time.sleep(_PAUSE)

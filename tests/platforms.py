@@ -135,7 +135,7 @@ def tried(row: Row) -> tuple[list[str], bool]:
         cells = [version.strip(), kind, "lowest" if row.lowest else "newest"]
         try:
             tworelay = installed(row, folder)
-        except Broken as error:
+        except (Broken, subprocess.TimeoutExpired) as error:
             return [*cells, str(error)], False
         holds = True
         for job in jobs(tworelay, folder).values():

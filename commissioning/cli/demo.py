@@ -11,6 +11,7 @@ import click
 
 from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Screen
+from commissioning.interruption import Interruption
 from commissioning.processes import start
 
 __all__ = ["command"]
@@ -35,6 +36,7 @@ def command(clock: str) -> None:
     screen = Screen(None, yes=True)
     serving = ("virtual", "serve", AXIS, "--modbus-tcp", "127.0.0.1:0", "--clock", clock)
     with (
+        Interruption(),  # whatever ends the demo ends its drive, too
         tempfile.TemporaryDirectory() as folder,
         start(
             "commissioning", *serving, "--state", str(Path(folder) / "drive.json"),

@@ -243,7 +243,9 @@ class CanWire:
         self._closed = False
         self._posted = 0
         # waiting on a descriptor beats the library's polling
-        self._serial = bus if sys.platform != "win32" and isinstance(bus, _Slcan) else None
+        self._serial: _Slcan | None = None
+        if sys.platform != "win32" and isinstance(bus, _Slcan):
+            self._serial = bus
         self.descriptor = None if self._serial is None else int(self._serial.fileno())
         self._sdo = _PumpedSdo(self, node, timeout)
 
@@ -252,7 +254,14 @@ class CanWire:
         if not isinstance(self._bus, _Slcan):
             return None
         port = self._bus.serialPortOrig
-        return SerialPort(str(port.port), port.baudrate, port.parity, port.stopbits, port.timeout)
+        return SerialPort(
+            str(port.port),
+            port.baudrate,
+            port.parity,
+            port.stopbits,
+            port.timeout,
+            port.write_timeout,
+        )
 
     def speak_through(self, stream: Stream | None) -> None:
         """Give the serial port back and speak through `stream` from now on; the channel stays open."""

@@ -100,8 +100,10 @@ class RtuLine:
         return max(standard, self.gap)
 
     def opened_as(self, timeout: float) -> SerialPort:
-        """The port under this line, with `timeout` (s) for a read."""
-        return SerialPort(self.port, self.baudrate, self.parity, self.stopbits, timeout)
+        """The port under this line, with `timeout` (s) for a read and a write."""
+        return SerialPort(
+            self.port, self.baudrate, self.parity, self.stopbits, timeout, write_timeout=timeout
+        )
 
     def __str__(self) -> str:
         return f"{self.port} at {self.baudrate} baud 8{self.parity}{self.stopbits}"

@@ -193,8 +193,12 @@ def test_words_that_a_pipe_would_make_wait_for_go_by_a_thread() -> None:
     """As on Windows before Python 3.12."""
     reader, writer = os.pipe()
     line = commissioning.guardian._Background(writer)
-    line.put(b"a")
+    line.write(b"a")
     assert os.read(reader, 1) == b"a"
+    other = commissioning.guardian._Background(writer)
+    other.write(b"q")
+    other.end()
+    assert os.read(reader, 1) == b"q", "it had left when that returned"
     os.close(reader)
     with pytest.raises(BrokenPipeError):
         put_for_long(line)
@@ -204,7 +208,7 @@ def test_words_that_a_pipe_would_make_wait_for_go_by_a_thread() -> None:
 def put_for_long(line: commissioning.guardian._Background) -> None:
     until = time.monotonic() + _PATIENCE
     while time.monotonic() < until:
-        line.put(b".")
+        line.write(b".")
 
 
 def test_a_loop_that_rests_may_be_silent(serve: Serve, tmp_path: Path) -> None:
@@ -283,8 +287,14 @@ def impatient(wait: Callable[..., int]) -> Callable[..., int]:
     return waits
 
 
-def broken(word: bytes) -> None:
-    raise BrokenPipeError
+class Broken:
+    """A line on which nobody listens."""
+
+    def write(self, word: bytes) -> None:
+        raise BrokenPipeError
+
+    def end(self) -> None:
+        return
 
 
 def test_a_dead_guardian_is_told_once_with_what_became_of_its_port() -> None:
@@ -296,13 +306,20 @@ def test_a_dead_guardian_is_told_once_with_what_became_of_its_port() -> None:
         (lambda: None, "stopped through its port, which was opened here$"),
         (gone, r"the guardian's port cannot be opened here \(no such device\)$"),
     ):
-        guardian = Guardian(None, reclaim)
-        guardian._write = broken
+        guardian = Guardian()
+        guardian.reclaim = reclaim
+        guardian._line = Broken()
         with pytest.raises(DriveFault, match=words):
             guardian.feed()
         guardian.feed()
-        guardian._write = broken
-        guardian.rest()  # says nothing: the stop is under way
+
+
+def test_a_guardian_that_died_while_nothing_moved_lets_nothing_move_any_more() -> None:
+    guardian = Guardian()
+    guardian._line = Broken()
+    guardian.rest()  # says nothing: a stop may be under way
+    with pytest.raises(DriveFault, match="it is not moved"):
+        guardian.arm()
 
 
 def test_nobody_is_told_nothing() -> None:
@@ -439,7 +456,7 @@ def test_a_port_is_lent_to_whoever_knows_the_token_and_to_nobody_after() -> None
             assert loop.recv(1) == b"", "what the loop says goes nowhere any more"
             assert not select.select([far], [], [], 0.2)[0]
     finally:
-        owner._port.close()
+        owner.close()
         os.close(far)
         os.close(near)
 

@@ -30,7 +30,13 @@ class Listening(Guardian):
     def __init__(self) -> None:
         super().__init__()
         self.heard: list[bytes] = []
-        self._write = self.heard.append
+        self._line = self
+
+    def write(self, word: bytes) -> None:
+        self.heard.append(word)
+
+    def end(self) -> None:
+        return
 
 
 @pytest.fixture

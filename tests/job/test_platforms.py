@@ -7,6 +7,8 @@ import os
 
 import pytest
 
+from commissioning.journal import Journal
+from drivers.home import home
 from drivers.link import axis_of, open_drive
 from tests.command import ROOT, in_process
 from tests.conftest import Serve
@@ -41,6 +43,8 @@ def test_a_job_in_real_time_through_the_guardian_that_owns_the_port(serve: Serve
     done = in_process("identify", link, *options, environment=POSIXLESS)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.1)
+    with Journal(home()) as journal:
+        assert journal.export("last")["events"] == [], "the guardian had nothing to do"
     drive = open_drive(axis_of(link))
     assert not drive.is_energised()
     assert drive.read_raw("max_torque") == 3000

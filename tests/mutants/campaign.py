@@ -103,23 +103,30 @@ def tests_for(
 
 
 def notice(tree: Path, mutant: Mutant, batches: list[list[str]]) -> str:
-    """Which way a mutant is noticed; '' where it lives."""
+    """Which way a mutant is noticed; '' where it lives. Raises RuntimeError where it is not the mutant."""
     path = tree / mutant.file
     original = path.read_text("utf-8")
-    path.write_text(mutant.source, "utf-8")
-    try:
-        for batch in batches:
-            child = os.fork()
-            if not child:
-                _run(tree, batch)
-            code = _wait(child)
-            if code is None:
-                return "hangs"
-            if code:
-                return "killed"
-        return ""
-    finally:
-        path.write_text(original, "utf-8")
+    for batch in batches:
+        path.write_text(mutant.source, "utf-8")
+        try:
+            code = _outcome(tree, batch)
+        finally:
+            path.write_text(original, "utf-8")
+        if code is None:
+            return "hangs"
+        if code > 1 and _outcome(tree, batch):  # no test failed, but could not be found or imported
+            raise RuntimeError(f"these fail although nothing is changed: {batch[:3]} …")
+        if code:
+            return "killed"
+    return ""
+
+
+def _outcome(tree: Path, tests: list[str]) -> int | None:
+    """pytest's exit code for some tests of a tree; None: they hang."""
+    child = os.fork()
+    if not child:
+        _run(tree, tests)
+    return _wait(child)
 
 
 def _run(tree: Path, tests: list[str]) -> None:
@@ -197,7 +204,8 @@ def known() -> dict[str, dict[str, str]]:
     for path in KNOWN.glob("results-*.jsonl"):
         for line in path.read_text("utf-8").splitlines():
             record = json.loads(line)
-            found[record["name"]] = record
+            if record["outcome"] or record["name"] not in found:  # who tried later knew more tests
+                found[record["name"]] = record
     return found
 
 

@@ -48,7 +48,13 @@ LIBRARIES = (
 def _leave() -> None:
     for library in LIBRARIES:
         importlib.import_module(library)
-    for module, names in GONE.items():
+    if sys.version_info >= (3, 12):
+        os_names = tuple(
+            name for name in GONE[os] if name != "set_blocking"
+        )  # Windows has it by then
+    else:
+        os_names = GONE[os]
+    for module, names in {**GONE, os: os_names}.items():
         for name in names:
             if hasattr(module, name):
                 delattr(module, name)

@@ -176,9 +176,10 @@ def _watch(limit: float, stop: _ByConnection | _ByFrames) -> str:
             armed = word.rfind(ARM) > word.rfind(REST)
 
 
-def _listen(words: queue.Queue[bytes]) -> None:
+def _listen(words: queue.Queue[bytes], line: int = 0) -> None:
+    """Everything that is said on standard input, and that it has ended."""
     while True:
-        word = os.read(0, 4096)
+        word = os.read(line, 4096)
         words.put(word)
         if not word:
             return

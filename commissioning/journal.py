@@ -24,6 +24,7 @@ State = Literal["intended", "verified", "restored"]
 
 _TRIES, _PAUSE = 200, 0.05  # s: until another process has opened the file
 _SCHEMA_VERSION = 1
+_RUNS_A_SECOND = 1000  # of one axis, at most
 _STORING = "storing"
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS runs (
@@ -148,7 +149,7 @@ class Journal:
         with self._errors():
             now = time.time()
             stamp = time.strftime("%Y%m%d-%H%M%S", time.localtime(now))
-            for n in range(1000):
+            for n in range(_RUNS_A_SECOND):
                 run = f"{stamp}-{axis}" + (f"-{n}" if n else "")
                 try:
                     self._db.execute(

@@ -200,6 +200,9 @@ def test_the_time_that_is_spent_counts_from_the_first_sample() -> None:
     w.check(sample(132.0, 0.0))
     with pytest.raises(EnvelopeTripped, match="duration: the experiments take longer than 64 s"):
         w.check(sample(132.0 + TICK, 0.0))
+    all_of_it = exact()
+    all_of_it.check(sample(0.0, 0.0))
+    all_of_it.check(sample(64.0, 0.0))
     gone = exact(spent=65.0)
     gone.check(sample(0.0, 0.0))
     with pytest.raises(EnvelopeTripped, match="duration"):

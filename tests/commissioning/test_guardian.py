@@ -10,6 +10,7 @@ import select
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Generator
 from pathlib import Path
@@ -101,6 +102,7 @@ def said() -> list[str]:
 
 def test_a_dead_loop_is_seen_at_once(serve: Serve, wire: str, tmp_path: Path) -> None:
     with energised(serve, wire, tmp_path) as (drive, guardian):
+        assert guardian.reclaim is None, "it inherits a port, or connects"
         assert guardian._process is not None
         assert guardian._process.stdin is not None
         guardian._process.stdin.close()
@@ -380,6 +382,21 @@ def test_silence_counts_from_the_last_word_while_armed(
     assert bool(stop.idled) is (None in words or "silent" in why)
 
 
+def test_every_word_is_heard_and_the_end_of_the_line() -> None:
+    reader, writer = os.pipe()
+    words: queue.Queue[bytes] = queue.Queue()
+    thread = threading.Thread(target=guardian_process._listen, args=(words, reader))
+    thread.start()
+    for word in (b"a", b".", b"q"):
+        os.write(writer, word)
+        assert words.get(timeout=_PATIENCE) == word
+    os.close(writer)
+    assert words.get(timeout=_PATIENCE) == b""
+    thread.join(_PATIENCE)
+    assert not thread.is_alive()
+    os.close(reader)
+
+
 def test_a_first_connection_that_died_is_not_the_last_try(monkeypatch: pytest.MonkeyPatch) -> None:
     class Connection:
         def __init__(self, deenergised: bool | None) -> None:
@@ -438,6 +455,7 @@ def test_a_port_is_lent_to_whoever_knows_the_token_and_to_nobody_after() -> None
     far, near = os.openpty()
     tty.setraw(near)
     owner = guardian_process._AsOwner([os.ttyname(near), 9600, "N", 1], "secret")
+    assert owner.place > 1023, "any free port"
     try:
         with socket.create_connection(("127.0.0.1", owner.place)) as stranger:
             stranger.sendall(b"wrong!")

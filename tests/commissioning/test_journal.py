@@ -264,6 +264,9 @@ def test_runs_of_one_second_have_names_of_their_own(
     monkeypatch.setattr("commissioning.journal.time.time", lambda: 1_000_000_000.0)
     first, second, third = (begin(journal) for _ in range(3))
     assert (second, third) == (f"{first}-1", f"{first}-2")
+    monkeypatch.setattr("commissioning.journal._RUNS_A_SECOND", 3)
+    with pytest.raises(JournalError, match="no free run id within this second"):
+        begin(journal)
     assert journal.run(second).status == "running"
     journal.finish(second, "completed")
     assert journal.run(second).status == "completed"
@@ -288,6 +291,8 @@ def test_a_run_whose_values_or_fields_are_none_is_not_taken_in(
         edge["run"]["axis"] = 5
         with pytest.raises(UsageError, match="is no text"):
             other.adopt(edge, "x")
+        with pytest.raises(UsageError, match="schema"):
+            other.adopt({**tree, "schema": "tworelay.journal/2"}, "x")
         with pytest.raises(UnknownName):
             other.run("last")
         edge = json.loads(json.dumps(tree))

@@ -79,6 +79,12 @@ def test_the_state_machine_is_walked_up_and_down_step_by_step(profile: Profile) 
     assert not power.is_energised()
 
 
+def test_an_idle_frame_is_zeros_and_enables_what_is_enabled() -> None:
+    assert cia402(Machine(CANOPEN, obedient)).idle() == [15, 0, 0]
+    assert cia402(Machine(MODBUS, obedient)).idle() == [0, 0]
+    assert procedure(Machine(LEADSHINE, leadshine)).idle() == [0]
+
+
 def test_the_controlword_in_the_cycle_follows_the_walk() -> None:
     """While a transition takes its time, the cycle repeats the controlword that asked for it."""
 
@@ -181,6 +187,25 @@ def test_a_procedure_without_a_reset_says_so() -> None:
         procedure(Machine(bare, leadshine)).acknowledge()
 
 
+def test_a_reset_that_takes_its_time_is_looked_at_every_five_milliseconds() -> None:
+    assert LEADSHINE.power is not None
+    steps = (Step(write="control", raw=1), Step(until="alarm", equals=0, within=1.0))
+    slow = LEADSHINE.model_copy(
+        update={"power": LEADSHINE.power.model_copy(update={"reset": steps})}
+    )
+    machine = Machine(slow, lambda machine, name, raw: None)
+    machine.values["alarm"] = 1
+    looks = []
+
+    def clears(machine: Machine) -> None:
+        looks.append(True)
+        machine.values["alarm"] = int(len(looks) < 4)
+
+    machine.in_cycle = clears
+    procedure(machine).acknowledge()
+    assert machine.waited == pytest.approx(4 * 0.005)
+
+
 def test_a_procedure_waits_for_its_sign_and_not_for_ever() -> None:
     machine = Machine(LEADSHINE, lambda machine, name, raw: None)
     with pytest.raises(
@@ -218,6 +243,9 @@ def test_the_cycle_of_a_procedure_tells_enabled_and_fault() -> None:
         found = power.status(tuple(values.get(name, 0) for name in into))
         return found.enabled, found.fault
 
+    assert (
+        power.status(tuple(0xA5A2 if n == "operation_status" else 0 for n in into)).word == 0xA5A2
+    )
     assert status(operation_status=2) == (True, False)
     assert status(operation_status=1) == (False, False)
     if "alarm" in into:

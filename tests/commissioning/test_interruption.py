@@ -31,7 +31,7 @@ def test_what_was_told_before_is_told_again_to_whoever_waits_then() -> None:
 
 
 def test_nothing_is_raised_before_the_outermost_block_ends() -> None:
-    done = []
+    done: list[str] = []
 
     def work() -> None:
         with interruption.deferred():

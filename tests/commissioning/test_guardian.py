@@ -7,6 +7,7 @@ import json
 import os
 import queue
 import select
+import signal
 import socket
 import subprocess
 import sys
@@ -174,6 +175,28 @@ def test_the_port_of_a_guardian_that_dies_is_opened_here_and_the_axis_stopped(
         report = drive.stop()
         assert report.deenergised
         assert report.failures == ()
+
+
+@serial
+@pytest.mark.usefixtures("owner")
+def test_a_guardian_that_hangs_keeps_nobody_from_stopping_the_axis(
+    serve: Serve, wire: str, tmp_path: Path
+) -> None:
+    reports: list[StopReport] = []
+    with pytest.raises(LinkLost), energised(serve, wire, tmp_path) as (drive, guardian):  # noqa: PT012
+        process, stop = guardian._process, drive.stop
+        assert process is not None
+        drive.stop = lambda *arguments: noted(stop, reports)  # type: ignore[method-assign]
+        process.send_signal(signal.SIGSTOP)
+        process.wait = impatient(process.wait)  # type: ignore[method-assign]
+        for _ in range(20):
+            drive.exchange(0.05)
+    assert reports[0].deenergised, "once its port was ours again"
+
+
+def noted(stop: Callable[[], StopReport], reports: list[StopReport]) -> StopReport:
+    reports.append(stop())
+    return reports[-1]
 
 
 @pytest.mark.usefixtures("owner")

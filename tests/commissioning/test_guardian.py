@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Generator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -24,12 +25,12 @@ from commissioning import guardian_process
 from commissioning.guardian import NOBODY, Guardian, guarded
 from commissioning.journal import Journal
 from commissioning.processes import start
-from drivers.drive import StopReport
+from drivers.drive import StopFrames, StopReport
 from drivers.home import home
 from drivers.link import axis_of, open_drive
 from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis
-from profiles.errors import DriveFault, LinkLost, PreflightRefused
+from profiles.errors import DriveFault, LinkError, LinkLost, PreflightRefused
 from profiles.schema import Mode
 from tests.conftest import Serve
 from tests.serving import WIRES
@@ -53,6 +54,9 @@ def energised(serve: Serve, wire: str, tmp_path: Path) -> Generator[tuple[Profil
             drive.enable(Mode.TORQUE)
             drive.exchange(0.0)
             yield drive, guardian
+        with contextlib.suppress(LinkError):  # answers to the guardian's frames come to us
+            drive.read_raw("max_torque")
+        assert drive.read_raw("max_torque") == 3000, "the way to the drive is ours, as before"
     finally:
         drive.close()
 
@@ -230,6 +234,50 @@ def test_words_that_a_pipe_would_make_wait_for_go_by_a_thread() -> None:
     os.close(writer)
 
 
+def test_the_last_word_has_left_when_the_line_ends() -> None:
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writer, b"." * 4096)
+    os.set_blocking(writer, True)
+    line = commissioning.guardian._Background(writer)
+    line.write(b"q")
+    drain = threading.Timer(0.1, os.read, (reader, 1 << 20))
+    drain.start()
+    line.end()
+    assert not line._thread.is_alive()
+    drain.join()
+    os.close(reader)
+    os.close(writer)
+
+
+def test_a_guardian_is_told_what_it_needs_and_how_long_silence_may_be(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    orders: list[dict[str, Any]] = []
+
+    def noted_order(order: dict[str, Any], descriptors: tuple[int, ...] = ()) -> tuple[None, str]:
+        orders.append(order | {"descriptors": descriptors})
+        return None, ""
+
+    monkeypatch.setattr(commissioning.guardian, "_process", noted_order)
+    frames = StopFrames(7, ((b"\x01\x02", 0.03),), None)
+    for cycle, limit in ((0.001, 0.25), (0.025, 0.25), (0.05, 0.5)):
+        drive = SimpleNamespace(
+            in_real_time=True, cycle=cycle, link="modbus-rtu:///dev/x", stop_frames=lambda: frames
+        )
+        axis = Axis(name="a", profile="other", link="virtual://bench")
+        with guarded(drive, axis, tmp_path / "p.toml", "run", tmp_path):  # type: ignore[arg-type]
+            order = orders[-1]
+        assert order["limit"] == pytest.approx(limit)
+        assert (order["run"], order["home"]) == ("run", str(tmp_path))
+        assert (order["descriptor"], order["descriptors"]) == (7, (7,))
+        assert order["frames"] == [("0102", 0.03)]
+        assert order["axis"]["link"] == "modbus-rtu:///dev/x"
+        assert order["axis"]["profile"] == str(tmp_path / "p.toml")
+
+
 def put_for_long(line: commissioning.guardian._Background) -> None:
     until = time.monotonic() + _PATIENCE
     while time.monotonic() < until:
@@ -403,6 +451,19 @@ def test_silence_counts_from_the_last_word_while_armed(
     stop = Idle()
     assert guardian_process._watch(0.1, stop) == why  # type: ignore[arg-type]
     assert bool(stop.idled) is (None in words or "silent" in why)
+
+
+def test_what_others_say_does_not_pile_up_while_the_guardian_waits() -> None:
+    asked = []
+
+    def other_master() -> str:
+        asked.append(True)
+        raise LinkLost("cable")
+
+    waiting = guardian_process._ByConnection.__new__(guardian_process._ByConnection)
+    waiting._drive = SimpleNamespace(other_master=other_master)  # type: ignore[assignment]
+    waiting.idle()
+    assert asked == [True]
 
 
 def test_every_word_is_heard_and_the_end_of_the_line() -> None:

@@ -193,12 +193,12 @@ def test_a_journal_of_a_newer_version_is_left_alone(tmp_path: Path) -> None:
 def test_a_journal_is_closed_behind_its_block_and_is_durable_within(tmp_path: Path) -> None:
     with Journal(tmp_path) as journal:
         asked = [journal._db.execute(f"PRAGMA {name}").fetchone()[0] for name in PRAGMAS]
-    assert asked == ["wal", 2, 1], "2: each transaction is on the disk when it returns"
+    assert asked == ["wal", 2, 1, 1], "2: each transaction is on the disk when it returns"
     with pytest.raises(sqlite3.ProgrammingError, match="closed"):
         journal._db.execute("SELECT 1")
 
 
-PRAGMAS = ("journal_mode", "synchronous", "foreign_keys")
+PRAGMAS = ("journal_mode", "synchronous", "foreign_keys", "user_version")
 
 
 class _Busy:

@@ -44,6 +44,22 @@ def test_a_drive_that_is_fit_is_let_through(drive: ProfiledDrive) -> None:
     look(drive, AXIS)
 
 
+def test_a_drive_in_fault_or_with_energy_or_without_torque_mode_is_refused(
+    drive: ProfiledDrive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(drive, "in_fault", lambda: True)
+        with pytest.raises(PreflightRefused, match="the drive is in fault"):
+            look(drive, AXIS)
+    with monkeypatch.context() as patch:
+        patch.setattr(drive, "is_energised", lambda: True)
+        with pytest.raises(PreflightRefused, match="already enabled"):
+            look(drive, AXIS)
+    changed(drive, modes={})
+    with pytest.raises(PreflightRefused, match="no torque command"):
+        look(drive, AXIS)
+
+
 def test_a_cycle_must_fit_into_the_watchdog_three_times(drive: ProfiledDrive) -> None:
     drive.cycle = 0.05 / 3
     look(drive, AXIS)

@@ -235,6 +235,19 @@ def test_a_fault_while_a_procedure_enables_ends_it() -> None:
         procedure(Machine(LEADSHINE, faulty)).enable([0])
 
 
+def test_a_profile_that_names_no_fault_has_none() -> None:
+    assert LEADSHINE.power is not None
+    bare = LEADSHINE.model_copy(
+        update={"power": LEADSHINE.power.model_copy(update={"fault": None})}
+    )
+    machine = Machine(bare, leadshine)
+    machine.values["alarm"] = 1
+    power = procedure(machine)
+    assert not power.in_fault()
+    assert power.text() == "disabled"
+    assert not power.status(tuple(1 for _ in bare.cycle.in_)).fault
+
+
 def test_the_cycle_of_a_procedure_tells_enabled_and_fault() -> None:
     power = procedure(Machine(LEADSHINE, leadshine))
     into = LEADSHINE.cycle.in_
@@ -248,8 +261,25 @@ def test_the_cycle_of_a_procedure_tells_enabled_and_fault() -> None:
     )
     assert status(operation_status=2) == (True, False)
     assert status(operation_status=1) == (False, False)
-    if "alarm" in into:
-        assert status(operation_status=2, alarm=7) == (False, True)
+
+
+def test_a_fault_that_the_cycle_tells_takes_enabled_away() -> None:
+    delta = load_profile("delta-asda")
+    assert delta.power is not None
+    assert delta.power.fault is not None
+    on, fault = delta.power.enabled, delta.power.fault
+    assert (on.parameter, fault.parameter, fault.mask) == ("drive_status", "drive_status", 64)
+    power = procedure(Machine(delta, lambda machine, name, raw: None))
+
+    def status(word: int) -> tuple[bool, bool]:
+        found = power.status(tuple(word if n == "drive_status" else 0 for n in delta.cycle.in_))
+        return found.enabled, found.fault
+
+    enabled = on.equals or 0
+    assert status(enabled) == (True, False)
+    assert status(enabled | 64) == (False, True)
+    assert status(64) == (False, True)
+    assert status(0) == (False, False)
 
 
 # -- steps --------------------------------------------------------------------------------------------

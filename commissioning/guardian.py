@@ -181,7 +181,7 @@ def _lending(
     """
     from drivers.serial_port import LentPort
 
-    token = secrets.token_hex(16)
+    token = secrets.token_hex()
     order |= {
         "port": [port.device, port.baudrate, port.parity, port.stopbits], "token": token,
     }  # fmt: skip
@@ -214,9 +214,8 @@ def _take_back(drive: Drive, port: SerialPort, guardian: Guardian, patience: flo
 
 def _link(place: int, token: str) -> socket.socket:
     """To the guardian that listens on `place` of this computer alone."""
-    link = socket.create_connection(("127.0.0.1", place), _READY)
-    link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    link.settimeout(None)
+    link = socket.create_connection(("127.0.0.1", place))
+    link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
     link.sendall(token.encode())
     return link
 

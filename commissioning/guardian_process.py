@@ -143,7 +143,7 @@ class _AsOwner:
             link.close()
         self._listener.close()
         link.settimeout(None)
-        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
         self._lending.pass_on(link)
 
     def _greeting(self, link: socket.socket) -> bytes:

@@ -28,7 +28,7 @@ def owned(link_text: str) -> Generator[None]:
         yield
         return
     folder = Path(tempfile.gettempdir()) / "tworelay-locks"
-    name = hashlib.sha256(_place(link).encode()).hexdigest()[:24]
+    name = hashlib.sha256(_place(link).encode()).hexdigest()
     try:
         folder.mkdir(mode=0o777, exist_ok=True)
         descriptor = os.open(
@@ -41,7 +41,7 @@ def owned(link_text: str) -> Generator[None]:
         ) from None
     with os.fdopen(descriptor, "r+", encoding="ascii", errors="replace") as file:
         if not _take(file):
-            owner = file.read(20).strip() or "unknown"
+            owner = file.read().strip() or "unknown"
             raise Refused(
                 f"another tworelay (process {owner}) has the drive on {link.text}: wait for it, or end it; "
                 "'tworelay stop' works in spite of it"

@@ -118,7 +118,7 @@ class StopPath:
         An axis that becomes faster is not being stopped: then the energy goes at once.
         """
         at = self._position()
-        most, faster = 0.0, 0
+        most, faster = self._noise, 0
         for look in range(self._looks):
             if not self._is_energised() or hurry():
                 return

@@ -545,8 +545,7 @@ def test_a_port_is_lent_to_whoever_knows_the_token_and_to_nobody_after() -> None
             stranger.sendall(b"wrong!")
             assert stranger.recv(1) == b"", "hung up on"
         with socket.create_connection(("127.0.0.1", owner.place)) as loop:
-            loop.sendall(b"secret")
-            loop.sendall(b"question")
+            loop.sendall(b"secretquestion")
             assert read_all(far, 8) == b"question"
             os.write(far, b"answer")
             assert loop.recv(6, socket.MSG_WAITALL) == b"answer"
@@ -561,6 +560,54 @@ def test_a_port_is_lent_to_whoever_knows_the_token_and_to_nobody_after() -> None
         owner.close()
         os.close(far)
         os.close(near)
+
+
+def test_frames_are_written_although_the_loop_has_told_its_port_not_to_wait() -> None:
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writer, b"." * 4096)
+    drain = threading.Timer(0.1, read_all, (reader, 1 << 16))
+    drain.start()
+    assert guardian_process._to_descriptor(writer)(b"stop") == 4
+    drain.join()
+    assert read_all(reader, 4) == b"stop"
+    os.close(reader)
+    os.close(writer)
+
+
+def test_frames_are_written_with_their_pauses_and_then_the_port_is_free(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    done: list[object] = []
+
+    def write(frame: bytes) -> None:
+        done.append(frame)
+        if frame == b"2":
+            raise OSError("unplugged")
+
+    monkeypatch.setattr("commissioning.guardian_process.time.sleep", done.append)
+    frames = [(b"1", 0.03), (b"2", 0.5), (b"3", 0.03)]
+    said_ = guardian_process._ByFrames(write, frames, lambda: done.append("free")).now()
+    assert done == [b"1", 0.03, b"2", 0.5, b"3", 0.03, "free"]
+    assert said_ == "stop frames sent; not verified"
+
+
+def test_a_guardian_that_owns_a_port_ends_also_where_nobody_came_for_it() -> None:
+    import tty
+
+    far, near = os.openpty()
+    tty.setraw(near)
+    process = start("commissioning.guardian_process", stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    order = {"frames": [], "limit": 1.0, "port": [os.ttyname(near), 9600, "N", 1], "token": "x"}
+    process.stdin.write(json.dumps(order).encode() + b"\n")
+    process.stdin.flush()
+    assert process.stdout.readline().startswith(b"ready ")
+    said_, _ = process.communicate(b"q", timeout=_PATIENCE)
+    assert (process.returncode, said_) == (0, b"")
+    os.close(far)
+    os.close(near)
 
 
 def read_all(descriptor: int, count: int) -> bytes:

@@ -190,6 +190,16 @@ def test_a_restore_goes_backwards_to_the_oldest_value_and_settles_every_intent(
     assert [row[3] for row in state(journal, drive)].count("restored") == 3
 
 
+def test_what_an_experiment_set_is_put_back_whoever_changed_it_meanwhile(
+    drive: Drawer, settings: Settings
+) -> None:
+    """A drive may round, or its firmware reset, what was set for the experiment."""
+    settings.write("experiment", "max_torque", 12)
+    drive.values["max_torque"] = 99
+    assert settings.restore().restored == ["max_torque"]
+    assert drive.values["max_torque"] == 0
+
+
 def intent(parameter: str, old: int, new: int, seq: int = 1) -> Intent:
     return Intent(seq, "r", "experiment", parameter, old, new, "verified")
 

@@ -187,14 +187,22 @@ def test_a_guardian_that_hangs_keeps_nobody_from_stopping_the_axis(
     serve: Serve, wire: str, tmp_path: Path
 ) -> None:
     reports: list[StopReport] = []
+    stops_before_close: list[int] = []
     with pytest.raises(LinkLost), energised(serve, wire, tmp_path) as (drive, guardian):  # noqa: PT012
-        process, stop = guardian._process, drive.stop
+        process, stop, close = guardian._process, drive.stop, drive.close
         assert process is not None
+
+        def closed() -> None:
+            stops_before_close.append(len(reports))
+            close()
+
+        drive.close = closed  # type: ignore[method-assign]
         drive.stop = lambda *arguments: noted(stop, reports)  # type: ignore[method-assign]
         process.send_signal(signal.SIGSTOP)
         process.wait = impatient(process.wait)  # type: ignore[method-assign]
         for _ in range(20):
             drive.exchange(0.05)
+    assert stops_before_close == [1]
     assert reports[0].deenergised, "once its port was ours again"
 
 

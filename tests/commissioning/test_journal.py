@@ -182,6 +182,13 @@ def test_stores_are_counted_for_each_drive(tmp_path: Path) -> None:
 # -- what only shows when something is odd --------------------------------------------------------------
 
 
+def test_a_journal_makes_the_folders_that_it_needs(tmp_path: Path) -> None:
+    folder = tmp_path / "a" / "b"
+    Journal(folder).close()
+    Journal(folder).close()
+    assert (folder / "journal.sqlite").exists()
+
+
 def test_a_journal_of_a_newer_version_is_left_alone(tmp_path: Path) -> None:
     Journal(tmp_path).close()
     with contextlib.closing(sqlite3.connect(tmp_path / "journal.sqlite")) as other:

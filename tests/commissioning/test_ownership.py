@@ -65,6 +65,14 @@ def test_every_user_can_take_a_lock_that_another_has_made(locks: Path) -> None:
         os.umask(before)
 
 
+def test_a_lock_names_its_owner_and_not_those_before(locks: Path) -> None:
+    with owned("modbus-tcp://h?unit=1"):
+        (file,) = locks.iterdir()
+    file.write_text("9" * 12)
+    with owned("modbus-tcp://h?unit=1"):
+        assert file.read_text() == str(os.getpid())
+
+
 def test_without_a_folder_for_locks_nothing_is_owned(locks: Path) -> None:
     locks.write_text("a file where the folder should be")
     with pytest.raises(Refused, match="no lock can be made in"), owned("modbus-tcp://h?unit=1"):

@@ -313,6 +313,21 @@ def test_silence_stops_a_drive_with_a_watchdog_and_leaves_it_without_fault(
     assert proved(armed, before=found) == found
 
 
+def test_the_silence_lasts_three_times_as_long_as_the_watchdog_bears(
+    armed: ProfiledDrive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waits: list[float] = []
+    wait = armed.wait
+
+    def noted(seconds: float) -> None:
+        waits.append(seconds)
+        wait(seconds)
+
+    monkeypatch.setattr(armed, "wait", noted)
+    proved(armed)
+    assert waits == pytest.approx([0.15])
+
+
 def test_a_drive_that_goes_on_in_silence_is_stopped_and_refused(drive: ProfiledDrive) -> None:
     drive.write_raw("watchdog_time", 0)
     before = drive._bus.device.firmware.now  # type: ignore[attr-defined]

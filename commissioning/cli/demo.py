@@ -49,7 +49,7 @@ def command(clock: str) -> None:
                 raise RuntimeError("the virtual drive did not start")
             truth = AXES[AXIS]
             screen.say(f"virtual drive '{AXIS}' serves {link}")
-            arguments = [link, "--travel", "±3.14", "--cycle", "0.002", "--yes"]
+            arguments = [link, "--travel", "±3.14", "--cycle", "0.004", "--yes"]
             screen.say("\n$ tworelay identify " + " ".join(arguments))
             result = measure(link, screen, identify.make_context("identify", arguments).params)
             show.summary(result, screen)

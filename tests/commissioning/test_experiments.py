@@ -24,7 +24,6 @@ from drivers.virtual.axes import AXES, configured
 from profiles.axis import Mechanics
 
 Identify = Callable[..., dict[str, Any]]
-one_worker = pytest.mark.xdist_group("franka")  # its run is a long one, and serves twice
 
 
 @pytest.fixture(scope="session")
@@ -80,7 +79,6 @@ def test_auto_takes_a_dozen_periods_of_a_rigid_axis(run: Identify) -> None:
     ("link", "rung", "words"),
     [
         ("virtual://epos-screw", "stribeck", "Stribeck effect"),
-        pytest.param("virtual://franka", "soft", "soft friction", marks=one_worker),
         ("virtual://erob", "load", "friction grows with the torque"),
         ("virtual://bench?cogging=0.01&travel=6", "position", "position-dependent"),
     ],
@@ -88,16 +86,19 @@ def test_auto_takes_a_dozen_periods_of_a_rigid_axis(run: Identify) -> None:
 def test_friction_that_is_not_coulomb_friction_is_recognised_and_said(
     run: Identify, link: str, rung: str, words: str
 ) -> None:
-    result = run(link)
+    recognised_and_said(run(link), rung, words)
+
+
+def recognised_and_said(result: dict[str, Any], rung: str, words: str) -> None:
     assert rung in result["methods"]["modulating"]["law"]["terms"]
     assert "lock-in" in result["methods"], "thirty periods, and the exact balance beside it"
     assert any(words in reason for reason in result["quality"]["reasons"])
 
 
-@one_worker
 def test_soft_friction_has_the_level_of_its_sigmoid(run: Identify) -> None:
     """Gaz et al. 2019, joint 1: 0.546/2 N.m, reached over 2/5.1 rad/s."""
     result = run("virtual://franka")
+    recognised_and_said(result, "soft", "soft friction")
     assert result["friction"]["coulomb"]["value"] == pytest.approx(0.273, rel=0.02)
     law = result["methods"]["modulating"]["law"]
     assert law["soft_speed"] == pytest.approx(2 / 5.1, rel=0.05)

@@ -115,6 +115,7 @@ def test_a_dead_loop_is_seen_at_once(serve: Serve, wire: str, tmp_path: Path) ->
         assert said()[0].startswith("guardian: the loop has died; ")
 
 
+@pytest.mark.parametrize("wire", ["modbus-tcp", "slcan"])  # each way to stop; the others above
 def test_a_silent_loop_is_stopped_for_once_it_is_armed(
     serve: Serve, wire: str, tmp_path: Path
 ) -> None:

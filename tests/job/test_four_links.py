@@ -84,7 +84,7 @@ def test_the_state_on_disk_survives_a_power_off(
 ) -> None:
     """Served drives keep what was stored in their state file."""
     link = serve("bench", *WIRES["modbus-tcp"], "--clock", "step")[0]
-    done = tworelay("commission", link, "--travel", "20", "--yes", "--cycle", "0.004")
+    done = tworelay("commission", link, "--travel", "20", "--yes", "--cycle", "0.008")
     assert done.returncode == 0, done.stderr
     state = json.loads((tmp_path / "drive-0.json").read_text())
     assert state["coulomb_positive"] == state["coulomb_negative"] > 80

@@ -41,12 +41,15 @@ def test_a_wrong_node_is_named_with_those_that_answer(serve: Serve, tworelay: Tw
     assert problem == "node: 6 does not answer to SDO; nodes 5 do"
 
 
-def test_a_wrong_unit_is_named_with_those_that_answer(serve: Serve, tworelay: Tworelay) -> None:
+def test_a_wrong_unit_is_named_with_those_that_answer(
+    serve: Serve, tworelay: Tworelay, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivers.doctor._ANSWER", 0.2)
     (link,) = serve("bench", *WIRES["modbus-rtu"])
     code, found = findings(tworelay, link.replace("unit=1", "unit=7"))
     assert code == 4
     texts = [f["text"] for f in found]
-    assert "unit: 7 does not answer within 0.65 s" in texts
+    assert "unit: 7 does not answer within 0.2 s" in texts
     assert "unit: these answer: [1]" in texts
 
 

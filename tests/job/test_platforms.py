@@ -22,7 +22,14 @@ posix = pytest.mark.skipif(os.name == "nt", reason="here it is nothing but Windo
 @posix
 def test_a_job_in_process_with_its_report() -> None:
     done = in_process(
-        "commission", "virtual://bench", "--yes", "--json", "-", environment=POSIXLESS
+        "commission",
+        "virtual://bench",
+        "--cycle",
+        "0.008",
+        "--yes",
+        "--json",
+        "-",
+        environment=POSIXLESS,
     )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.01)

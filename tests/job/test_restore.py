@@ -14,7 +14,7 @@ from tests.command import ROOT
 from tests.conftest import Serve, Tworelay
 from tests.serving import WIRES
 
-QUICK = ("--travel", "20", "--cycle", "0.004", "--yes")  # few exchanges over the wire
+QUICK = ("--travel", "20", "--cycle", "0.008", "--yes")  # few exchanges over the wire
 FAILING_STORE = textwrap.dedent(
     """
     import sys

@@ -67,7 +67,7 @@ def test_what_makes_no_difference_does_not_stay(serve: Serve, tworelay: Tworelay
     """4096 counts a turn: its following error is the encoder's, not friction's."""
     (link,) = serve("mx106", *WIRES["modbus-tcp"], "--clock", "step")
     done = tworelay(
-        "commission", link, "--travel", "3.14", "--cycle", "0.004", "--yes", "--json", "-"
+        "commission", link, "--travel", "3.14", "--cycle", "0.008", "--yes", "--json", "-"
     )
     assert done.returncode == 7
     assert "the compensation does not help: error after reversals" in done.stderr

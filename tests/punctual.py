@@ -17,7 +17,7 @@ from tests.witness import Lateness, witnesses
 __all__ = ["Punctual", "real_time"]
 
 real_time = pytest.mark.real_time
-TRIES = 3
+TRIES, FOLDER = 3, "tests/job/"
 
 
 class Witness(Protocol):
@@ -57,6 +57,14 @@ class Punctual:
     def __init__(self) -> None:
         self._witness: Witness | None = None
         self._processes = contextlib.ExitStack()
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """They are looked for in one folder, so that the others need not be collected for them."""
+        astray = [
+            i.nodeid for i in items if i.get_closest_marker("real_time") and FOLDER not in i.nodeid
+        ]
+        if astray:
+            raise pytest.UsageError(f"tests in real time belong into {FOLDER}: {', '.join(astray)}")
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(

@@ -268,7 +268,7 @@ SIGNALS = [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
 def test_ctrl_c_in_mid_test(serve: Serve) -> None:
     link = serve("bench", *WIRES["modbus-tcp"])[0]
     with running("identify", link, *LONG) as process:
-        wait_for(process, "staging")
+        wait_for(process, "short pushes")
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=30)
     assert process.returncode == 130

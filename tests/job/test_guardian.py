@@ -96,7 +96,7 @@ def test_the_loop_is_killed_and_the_axis_is_stopped(
     """By a second connection, and by the inherited descriptor of an exclusive port."""
     axis = unwatched(serve, tmp_path, wire)
     with running(*in_motion(axis)) as process:
-        wait_for(process, "staging")
+        wait_for(process, "short pushes")
         process.kill()
         process.wait(10)
     assert "guardian: the loop has died" in guardian_s_word()

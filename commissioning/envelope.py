@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
+from math import inf, nan
 
 from commissioning.experiments.stopping import Stopping
 from drivers.sample import Sample
-from profiles.errors import EnvelopeTripped
+from profiles.errors import EnvelopeTripped, FeedbackReversed
 
 __all__ = ["Envelope", "Watch"]
 
@@ -15,6 +15,10 @@ _MEASURED_TORQUE_SHARE = 1.5  # of the limit; sustained, so that a spike of nois
 _MEASURED_TORQUE_CYCLES = 10
 _FIRST_TRAVEL, _FIRST_SPEED = 0.6, 0.35  # of the limits, while nothing is known
 _STAYS = 0.05  # of the travel, while the drive takes over
+# A change of speed within one sample that is so many times what the torque can do, and as many counts, is the
+# encoder's direction that changed. It is believed when the next sample has the new speed, too.
+_IMPOSSIBLE, _COUNTS, _STAYS_REVERSED = 6.0, 4.0, 0.5
+_AGAINST = 0.03  # s: an axis that gains speed for so long against its torque contradicts it
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +35,8 @@ class Envelope:
         `heat` what the experiments before have left of it
     stopping : what is certain about stopping; None while nothing is known and speeds are low
     relay_torque : torque about the offset that may act until the axis is told to stop, N.m or N
+    bias : torque that balances the axis, N.m or N; nan: not known, or positions are commanded
+    cycle, resolution : s, rad or m: the largest step of a position command is the speed's in one cycle
     cautious : the first motions, of which nothing is known: a share of travel and speed
     position_unit, effort_unit : for messages
     """
@@ -46,6 +52,9 @@ class Envelope:
     heat: float = 0.0
     stopping: Stopping | None = None
     relay_torque: float = 0.0
+    bias: float = nan
+    cycle: float = inf
+    resolution: float = 0.0
     cautious: bool = False
     position_unit: str = "rad"
     effort_unit: str = "N.m"
@@ -59,8 +68,9 @@ class Watch:
     """Follows one run; each method raises EnvelopeTripped with numbers and units."""
 
     __slots__ = (
-        "_began", "_c0", "_c1", "_c2", "_centre", "_duration", "_envelope", "_heat", "_over",
-        "_position", "_rated2", "_speed", "_time", "_torque", "_travel",
+        "_against", "_began", "_bias", "_c0", "_c1", "_c2", "_centre", "_commanded", "_counts",
+        "_duration", "_envelope", "_heat", "_most_change", "_over", "_position", "_rated2", "_reversed",
+        "_speed", "_step", "_time", "_torque", "_travel", "_velocity",
     )  # fmt: skip
 
     def __init__(self, envelope: Envelope, position: float) -> None:
@@ -73,11 +83,24 @@ class Watch:
         self._rated2 = envelope.rated**2
         if envelope.stopping is None:
             self._c0 = self._c1 = self._c2 = 0.0
+            self._most_change = inf
         else:
-            self._c0, self._c1, self._c2 = envelope.stopping.coefficients(envelope.relay_torque)
+            stopping = envelope.stopping
+            self._c0, self._c1, self._c2 = stopping.coefficients(envelope.relay_torque)
+            most = envelope.relay_torque + stopping.friction
+            self._most_change = _IMPOSSIBLE * most / stopping.inertia
+        self._counts = _COUNTS * envelope.resolution
+        self._step = self._speed * envelope.cycle + envelope.resolution
+        self._bias = envelope.bias
         self._began = inf
         self._time = inf
-        self._position = position
+        self._position = self._commanded = position
+        self._velocity = 0.0
+        self._reversed = 0.0  # velocity after a change that no torque makes, rad/s or m/s
+        self._against = (
+            inf,
+            0.0,
+        )  # since when and from which speed the axis moves against its torque
         self._heat = envelope.heat
         self._over = 0
 
@@ -89,6 +112,22 @@ class Watch:
                 f"torque command {set_point:.4g} {e.effort_unit} is above the limit of "
                 f"{e.torque:.4g} {e.effort_unit}; the axis was stopped"
             )
+
+    def admit_position(self, set_point: float) -> None:
+        """Check a position command before it is sent: within the travel, and no step."""
+        if not abs(set_point - self._centre) <= self._travel + self._envelope.resolution:
+            e = self._envelope
+            raise EnvelopeTripped(
+                f"position command: {set_point - self._centre:+.4g} {e.position_unit} from the start is "
+                f"beyond ±{self._travel:.4g} {e.position_unit}; the axis was stopped"
+            )
+        if not abs(set_point - self._commanded) <= self._step:
+            e = self._envelope
+            raise EnvelopeTripped(
+                f"position command: a step of {set_point - self._commanded:+.4g} {e.position_unit} is more "
+                f"than {self._speed:.4g} {e.position_unit}/s go in one cycle; the axis was stopped"
+            )
+        self._commanded = set_point
 
     def check(self, sample: Sample) -> None:
         """Check a sample."""
@@ -112,6 +151,19 @@ class Watch:
                 or time - self._began > self._duration
             ):
                 self._trip(sample, speed, reach)
+            before, self._velocity = self._velocity, velocity
+            if velocity * (sample.command - self._bias) < 0:
+                if self._against[0] == inf:
+                    self._against = time, speed
+            else:
+                self._against = inf, 0.0
+            if self._reversed:
+                self._check_direction(velocity, before)
+            elif (
+                velocity * before < 0
+                and abs(velocity - before) > self._most_change * elapsed + self._counts / elapsed
+            ):
+                self._reversed = velocity
         elif self._began == inf:
             self._began = time
             self._check_start(position)
@@ -138,9 +190,29 @@ class Watch:
                 "was enabled; the axis was stopped. Find out why first"
             )
 
+    def _check_direction(self, velocity: float, before: float) -> None:
+        """The sample after a change of speed that no torque makes: a disturbed one, or the new direction."""
+        was, self._reversed = self._reversed, 0.0
+        if abs(velocity - was) < _STAYS_REVERSED * abs(was):
+            e = self._envelope
+            raise FeedbackReversed(
+                f"feedback: the speed turned to {before:+.3g} {e.position_unit}/s within one cycle, which no "
+                "torque does; the encoder's direction has changed, or the axis hit something. The energy was "
+                "taken away at once, for a quick stop would accelerate; check the encoder and its cable"
+            )
+
     def _trip(self, sample: Sample, speed: float, reach: float) -> None:
         e = self._envelope
         pu, tu = e.position_unit, e.effort_unit
+        since, slower = self._against
+        against = sample.time - since
+        if against > _AGAINST and speed > slower:
+            raise FeedbackReversed(
+                f"feedback: the axis gained speed against its torque for {1000 * against:.0f} ms, from "
+                f"{slower:.3g} to {speed:.3g} {pu}/s; the direction of encoder or motor has changed. The "
+                "energy was taken away at once, for a quick stop would accelerate; check encoder, motor "
+                "cable and both directions"
+            )
         first = " for the first motions ({:.0f} % of {:.4g})" if e.cautious else ""
         if reach > self._travel:
             first = first.format(100 * _FIRST_TRAVEL, e.travel)

@@ -15,7 +15,7 @@ from commissioning.interruption import Interruption
 from drivers.drive import Drive, StopReport
 from drivers.realtime import real_time
 from drivers.sample import Sample
-from profiles.errors import DriveFault, TwoRelayError
+from profiles.errors import DriveFault, FeedbackReversed, TwoRelayError
 from profiles.schema import Mode
 
 __all__ = ["Recorder", "run", "verified"]
@@ -71,7 +71,8 @@ def run(
         went when that is not verified.
     """
     watch = envelope.watch(drive.read("position_actual"))
-    record, check, admit = recorder.samples.append, watch.check, watch.admit
+    record, check = recorder.samples.append, watch.check
+    admit = watch.admit if mode is Mode.TORQUE else watch.admit_position
     exchange, send, feed = drive.exchange, plan.send, guardian.feed
     urgent = real_time() if drive.in_real_time else nullcontext()
     with interruption.deferred(), _collector_off(), urgent:
@@ -82,8 +83,7 @@ def run(
             guardian.arm()
             try:
                 while True:
-                    if mode is Mode.TORQUE:
-                        admit(set_point)
+                    admit(set_point)
                     sample = exchange(set_point)
                     feed()
                     record(sample)
@@ -102,7 +102,8 @@ def run(
                 drive.disable()
         except BaseException as error:
             guardian.rest()
-            verified(drive.stop(interruption.hurried), error)
+            no_brake = isinstance(error, FeedbackReversed)
+            verified(drive.stop((lambda: True) if no_brake else interruption.hurried), error)
             plan.close()
             raise
     return result

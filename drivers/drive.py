@@ -112,6 +112,9 @@ class Drive(Protocol):
     def preparations(self, mode: Mode) -> dict[str, int]:
         """Raw value of each parameter that `mode` needs set before it is enabled."""
 
+    def check_set_points(self, mode: Mode, largest: float) -> None:
+        """Raises PreflightRefused where ±`largest` (SI) does not fit the set-point of `mode`."""
+
     def bus_changes(self) -> dict[str, tuple[int, int]]:
         """Objects of the bus' own that the cycle changes in the drive: what is there, and what will be."""
 
@@ -164,7 +167,7 @@ class Exchange(NamedTuple):
 class Bus(Protocol):
     """What a driver implements: raw access by address, and the cycle.
 
-    `read` and `write` raise LinkError, or AccessDenied when the drive answers with a refusal.
+    `read` and `write` raise LinkError, or AccessDenied (WriteDenied) when the drive answers with a refusal.
     """
 
     cycle: float
@@ -208,6 +211,9 @@ class Bus(Protocol):
 
     def wait(self, seconds: float) -> None:
         """Let time pass."""
+
+    def now(self) -> float:
+        """Time of the cycle's clock, s."""
 
     def other_master(self) -> str:
         """What another master sent on the same bus, or ''."""

@@ -7,6 +7,7 @@ from typing import Protocol
 
 from drivers import cia402
 from drivers.drive import Bus
+from drivers.patience import patiently
 from drivers.sample import Status
 from profiles.errors import DriveFault, PreflightRefused, WriteFailed
 from profiles.schema import Condition, Power, Profile, Step
@@ -61,16 +62,21 @@ def perform(
 ) -> None:
     """Write and wait as `steps` say; `wait` lets some time pass and says how much, s.
 
-    Raises WriteFailed when a wait is in vain, LinkError.
+    A drive that says it is busy is asked again. Raises WriteFailed when a wait is in vain, LinkError.
     """
+    patience = profile.link.patience
     for step in steps:
         if step.write is not None and step.raw is not None:
-            bus.write(profile.parameters[step.write].address, step.raw)
+            address, raw = profile.parameters[step.write].address, step.raw
+            patiently(lambda a=address, r=raw: bus.write(a, r), patience, wait)  # type: ignore[misc]
             continue
         name = step.until or ""
         address = profile.parameters[name].address
         waited = 0.0
-        while (there := bus.read(address)) & step.mask != step.equals:
+        while True:
+            there = patiently(lambda a=address: bus.read(a), patience, wait)  # type: ignore[misc]
+            if there & step.mask == step.equals:
+                break
             if waited >= step.within:
                 raise WriteFailed(
                     f"{what}: '{name}' reads {there} for {step.within:g} s instead of {step.equals}"

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf, isnan, nan
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Never, TypeVar
 
 from drivers.drive import SET, Bus, Exchange, StopFrames, StopReport
+from drivers.patience import patiently
 from drivers.power import perform, power_of
 from drivers.sample import Sample
 from drivers.scaling import Scaling
@@ -46,7 +47,10 @@ _COUNTED_IN_RATED = {
 }  # fmt: skip
 _COUNTED_IN_INCREMENTS = {Unit.INCREMENT, Unit.INCREMENT_PER_SECOND}
 _POLL = 0.005  # s between two looks at a state
+_BUSY = 0.05  # s until a busy drive is asked again
 _MODE_CHANGE = 2.0  # s
+
+T = TypeVar("T")
 
 
 class ProfiledDrive:
@@ -69,7 +73,7 @@ class ProfiledDrive:
         self._energised = False
         self.scaling = Scaling(1.0, 1.0, axis.mechanics) if to_stop else self._read_bases(axis)
         revolution = inf if to_stop else self.scaling.increments_per_revolution
-        self._stop_path = StopPath(bus, profile, self.is_energised, revolution)
+        self._stop_path = StopPath(bus, profile, self._power.is_energised, revolution)
         if not profile.moves:
             return
         self._select(Mode.TORQUE, profile.modes[Mode.TORQUE][0])
@@ -158,7 +162,11 @@ class ProfiledDrive:
         parameter = self._parameter(name)
         if parameter.access is Access.WRITE_ONLY:
             raise WriteFailed(f"'{name}' ({parameter.address}) can only be written")
-        return self._bus.read(parameter.address)
+        return self._patiently(lambda: self._bus.read(parameter.address))
+
+    def _patiently(self, action: Callable[[], T]) -> T:
+        """What `action` gives, asked again while the drive says that it is busy."""
+        return patiently(action, self.profile.link.patience, lambda: self._pause(_BUSY))
 
     def write(self, name: str, value: float) -> None:
         """Write an experiment or compensation parameter (SI) and read it back."""
@@ -185,13 +193,13 @@ class ProfiledDrive:
         low, high = parameter.range
         if not parameter.allows(raw):
             raise WriteFailed(f"'{name}': raw value {raw} is not allowed ({low:g}…{high:g})")
-        self._bus.write(parameter.address, raw)
+        self._patiently(lambda: self._bus.write(parameter.address, raw))
         self._verify(name, parameter, raw)
 
     def _verify(self, name: str, parameter: Parameter, raw: int) -> None:
         if parameter.access is Access.WRITE_ONLY:
             return
-        there = self._bus.read(parameter.address)
+        there = self._patiently(lambda: self._bus.read(parameter.address))
         if there != raw:
             raise WriteFailed(
                 f"'{name}' ({parameter.address}) reads back {there} after {raw} was written: "
@@ -205,6 +213,8 @@ class ProfiledDrive:
                 f"profile '{self.profile.name}' has no store procedure: the values are lost at "
                 "power-off"
             )
+        if self.is_energised():
+            raise WriteFailed("nothing is stored while the drive is enabled: disable it first")
         steps = self.profile.store.steps
         perform(self._bus, self.profile, steps, "store", lambda: self._pause(_POLL))
 
@@ -298,7 +308,8 @@ class ProfiledDrive:
 
     def _state_text(self) -> str:
         text = self._power.text()
-        code = self.read_raw("error_code") if "error_code" in self.profile.parameters else 0
+        known = self.profile.parameters.get("error_code")
+        code = self._bus.read(known.address) if known is not None else 0
         return f"{text}, error code {code:04X}h" if code else text
 
     def fault_text(self) -> str:
@@ -307,7 +318,7 @@ class ProfiledDrive:
 
     def is_energised(self) -> bool:
         """Whether the drive says that it controls the axis."""
-        return self._power.is_energised()
+        return self._patiently(self._power.is_energised)
 
     def other_master(self) -> str:
         """What another master sent on the same bus, or ''."""
@@ -315,7 +326,7 @@ class ProfiledDrive:
 
     def in_fault(self) -> bool:
         """Whether the drive reports a fault."""
-        return self._power.in_fault()
+        return self._patiently(self._power.in_fault)
 
     def reset_fault(self) -> None:
         """Acknowledge a fault; never enables. Raises PreflightRefused when the fault stays."""
@@ -339,8 +350,10 @@ class ProfiledDrive:
         self._rest_raw = (
             self.read_raw("position_actual")
             if mode is Mode.POSITION
-            else self.scaling.checked_raw(code.set_point, target, rest)
+            else round(rest / self._set_point_step)
         )
+        if not self._lowest <= self._rest_raw <= self._highest:
+            self._refuse_set_point(code.set_point, self._rest_raw)
         self._bus.write(target.address, self._rest_raw)
         self._verify(code.set_point, target, self._rest_raw)
         self._bus.start(self._frame(self._rest_raw))
@@ -415,7 +428,9 @@ class ProfiledDrive:
     def _select(self, mode: Mode, code: ModeCode) -> None:
         self._mode = mode
         self._set_point = self._parameter(code.set_point)
+        self._set_point_name = code.set_point
         self._set_point_step = self._step(code.set_point)
+        self._lowest, self._highest = self._set_point.range
         out = self.profile.cycle.out
         if code.set_point not in out:
             raise PreflightRefused(
@@ -429,6 +444,8 @@ class ProfiledDrive:
     def exchange(self, set_point: float) -> Sample:
         """Put `set_point` (SI) in force and return the first sample latched after that."""
         raw = round(set_point / self._set_point_step)
+        if not self._lowest <= raw <= self._highest:
+            self._refuse_set_point(self._set_point_name, raw)
         values, in_force, sent, time, lateness, missed = self._bus.exchange(self._frame(raw))
         at_torque = self._at_torque
         return _new(
@@ -443,6 +460,25 @@ class ProfiledDrive:
                 lateness,
                 missed,
             ),
+        )
+
+    def check_set_points(self, mode: Mode, largest: float) -> None:
+        """Raises PreflightRefused where ±`largest` (SI) does not fit the set-point of `mode`."""
+        name = self._supported(mode).set_point
+        low, high = self._parameter(name).range
+        for value in (-largest, largest):
+            raw = round(value / self._step(name))
+            if not low <= raw <= high:
+                self._refuse_set_point(name, raw)
+
+    def _refuse_set_point(self, name: str, raw: int) -> Never:
+        """Raises PreflightRefused: nothing like it goes onto the wire."""
+        parameter, step = self._parameter(name), self._step(name)
+        (low, high), unit = parameter.range, self.scaling.unit_text(parameter)
+        raise PreflightRefused(
+            f"{raw * step:.4g} {unit} is {raw} of '{name}' ({parameter.address}), which takes {low:.0f}…"
+            f"{high:.0f}, that is {low * step:.4g}…{high * step:.4g} {unit}: is its scale right in profile "
+            f"'{self.profile.name}', and are gear, rated_torque and encoder in the axis file?"
         )
 
     def _frame(self, raw: int) -> tuple[int, ...]:

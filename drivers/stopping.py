@@ -14,9 +14,9 @@ __all__ = ["Rest", "StopPath"]
 
 _POLL = 0.005  # s between two looks at a drive that is stopping
 _FEWEST_LOOKS = 3
-# a stop that makes the axis faster is none: motion between two looks that is more than so many times that
-# of the first ones, and so many revolutions more, in so many looks
-_TIMES, _REVOLUTIONS, _FIRST_LOOKS, _FASTER_LOOKS = 2.0, 0.02, 2, 3
+# a stop that makes the axis faster is none: a speed that is more than so many times that of the first looks,
+# and so many revolutions a second more, in so many looks
+_TIMES, _REVOLUTIONS, _FIRST_LOOKS, _FASTER_LOOKS = 1.2, 0.3, 2, 2
 _BETWEEN_FRAMES = 0.03  # s, for an answer that nobody reads
 _REPEATS = 3  # of frames that nobody confirms
 
@@ -43,7 +43,7 @@ class StopPath:
         self._bus = bus
         self._profile = profile
         self._is_energised = is_energised
-        self._noise = _REVOLUTIONS * revolution
+        self._noise = _REVOLUTIONS * revolution  # increments/s
         self._looks = max(round(profile.stop_time / _POLL), _FEWEST_LOOKS)
 
     def frames(self, rest: Rest) -> StopFrames | None:
@@ -117,18 +117,20 @@ class StopPath:
 
         An axis that becomes faster is not being stopped: then the energy goes at once.
         """
-        at = self._position()
-        most, faster = self._noise, 0
+        at, time = self._position(), self._bus.now()
+        most, faster = 0.0, 0
         for look in range(self._looks):
             if not self._is_energised() or hurry():
                 return
             self._bus.wait(_POLL)
             before, at = at, self._position()
-            moved = abs(at - before)  # nan where it cannot be read: no faster than anything
+            since, time = time, self._bus.now()
+            # nan where it cannot be read: no faster than anything
+            speed = abs(at - before) / (time - since)
             if look < _FIRST_LOOKS:
-                most = max(most, _TIMES * moved + self._noise)
+                most = max(most, _TIMES * speed + self._noise)
                 continue
-            faster = faster + 1 if moved > most else 0
+            faster = faster + 1 if speed > most else 0
             if faster >= _FASTER_LOOKS:
                 return
 

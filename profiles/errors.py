@@ -11,9 +11,11 @@
     │   └── LinkLost                   4   was there, and is gone
     ├── DriveFault                     5   the drive reported a fault in motion
     │   └── EnvelopeTripped            5   a limit of ours was about to be passed
+    │       └── FeedbackReversed       5   the position answers against the torque: no brake but friction
     ├── MeasurementRejected            6   friction above the torque limit, no limit cycle
+    ├── AccessDenied                   4   SDO abort, Modbus exception: the drive refuses to be read
     ├── WriteFailed                    7   write, read-back, store or restore incomplete
-    │   ├── AccessDenied               7   SDO abort, Modbus exception
+    │   ├── WriteDenied                7   SDO abort, Modbus exception: the drive refuses to be written to
     │   └── JournalError               7   the journal cannot be written
     └── Interrupted              130, 143  SIGINT, SIGTERM
 
@@ -26,6 +28,7 @@ __all__ = [
     "AccessDenied",
     "DriveFault",
     "EnvelopeTripped",
+    "FeedbackReversed",
     "IdentityMismatch",
     "Interrupted",
     "JournalError",
@@ -38,6 +41,7 @@ __all__ = [
     "TwoRelayError",
     "UnknownName",
     "UsageError",
+    "WriteDenied",
     "WriteFailed",
 ]
 
@@ -115,6 +119,10 @@ class EnvelopeTripped(DriveFault):
     """A limit of the experiment was reached, so the axis was stopped."""
 
 
+class FeedbackReversed(EnvelopeTripped):
+    """The position answers against the torque, so that a quick stop would accelerate: the energy must go."""
+
+
 class MeasurementRejected(TwoRelayError):
     """The measurement gives no number that can be trusted."""
 
@@ -128,8 +136,20 @@ class WriteFailed(TwoRelayError):
     exit_code = 7
 
 
-class AccessDenied(WriteFailed):
-    """The drive answers, and refuses an access."""
+class AccessDenied(TwoRelayError):
+    """The drive answers, and refuses an access; `busy`: for now only, as it says."""
+
+    exit_code = 4
+
+    def __init__(self, message: str, *, busy: bool = False) -> None:
+        super().__init__(message)
+        self.busy = busy
+
+
+class WriteDenied(AccessDenied, WriteFailed):
+    """The drive answers, and refuses a write."""
+
+    exit_code = 7
 
 
 class JournalError(WriteFailed):

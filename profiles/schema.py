@@ -335,6 +335,7 @@ class LinkDefaults(_Strict):
     sharing: Literal["shared", "exclusive"] = "shared"
     cycle: Annotated[float, Field(gt=0)] = 0.005  # s
     service_timeout: Annotated[float, Field(gt=0)] = 0.5  # s, one request outside motion
+    patience: Annotated[float, Field(ge=0)] = 5.0  # s, for a drive that says it is busy
 
 
 class Mode(StrEnum):

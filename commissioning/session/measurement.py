@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import inf
+from math import inf, nan
 from typing import TypeVar
 
 import numpy as np
@@ -113,6 +113,8 @@ class Measurement:
             duration=limits.duration,
             rated=limits.rated,
             thermal=_THERMAL * limits.rated**2,
+            cycle=drive.cycle,
+            resolution=self.context.resolution,
             position_unit=axis.position_unit,
             effort_unit=axis.effort_unit,
         )
@@ -140,7 +142,7 @@ class Measurement:
 
     def follow(self, path: TrackingPath) -> TrackingSamples:
         """Follow a path in position mode; its samples are no part of the torque record."""
-        envelope = replace(self.envelope, cautious=False, rated=inf, thermal=inf)
+        envelope = replace(self.envelope, cautious=False, rated=inf, thermal=inf, bias=nan)
         return run(
             track(self.context, path), self.drive, envelope, Recorder(), self.desk.interruption,
             mode=Mode.POSITION, guardian=self.guardian,
@@ -194,6 +196,7 @@ class Measurement:
         self.recorder.phase("does the axis stay at rest?")
         self._run(stand(self.context), rest)
         known = self._move(first_look(self._cautious()), rest)
+        self.envelope = replace(self.envelope, bias=known.offset)
         if abs(known.offset) > known.breakaway and self.axis.mechanics.held_by == "friction":
             e = self.axis.effort_unit
             raise PreflightRefused(
@@ -354,7 +357,7 @@ class Measurement:
             )
         self.recorder.phase("holding torque: creep up and down in position mode")
         before = len(self.recorder.samples)
-        envelope = replace(self.envelope, rated=inf, thermal=inf)
+        envelope = replace(self.envelope, rated=inf, thermal=inf, bias=nan)
         start = self.drive.read("position_actual")
         torque = run(
             balancing_torque(replace(self.context, start=start)),

@@ -148,6 +148,7 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
             f"max torque of {torque:.4g} {axis.effort_unit} is above the drive's own limit of "
             f"{most:.4g} {axis.effort_unit} ('{named.get('torque')}')"
         )
+    drive.check_set_points(Mode.TORQUE, torque)
     return Limits(
         drive.read("position_actual"),
         travel,

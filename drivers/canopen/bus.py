@@ -22,6 +22,7 @@ from profiles.errors import (
     ProfileError,
     TwoRelayError,
     UsageError,
+    WriteDenied,
     WriteFailed,
 )
 from profiles.schema import WIDTH_BITS, Address, CanopenAddress, Identity, Profile
@@ -132,7 +133,7 @@ class CanopenBus:
         return value
 
     def write(self, address: Address, raw: int) -> None:
-        """Write a raw value by SDO; raises LinkError, AccessDenied."""
+        """Write a raw value by SDO; raises LinkError, WriteDenied."""
         at = _canopen(address)
         self._wire.download(at.index, at.sub, struct.pack("<" + _CODE[at.type], raw))
 
@@ -281,7 +282,7 @@ class CanopenBus:
         mapping = pdo.communication + _MAPPING
         found = [self._number(mapping, sub + 1) for sub in range(len(pdo.entries))]
         if found != pdo.entries:
-            raise AccessDenied(
+            raise WriteDenied(
                 f"the drive did not take the mapping of {mapping:04X}h: it reads "
                 + ", ".join(f"{entry:08X}h" for entry in found)
             )
@@ -410,6 +411,10 @@ class CanopenBus:
         if self._running and self.in_real_time:
             self._wire.drain()
             self._supervise()
+
+    def now(self) -> float:
+        """Time of the cycle's clock, s."""
+        return self._pace.now()
 
     def other_master(self) -> str:
         """COB-ID of a frame that only another master would send."""

@@ -25,7 +25,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.canopen import bus_state
 from drivers.serial_port import SerialPort, Stream
-from profiles.errors import AccessDenied, LinkError, LinkLost, UsageError
+from profiles.errors import AccessDenied, LinkError, LinkLost, UsageError, WriteDenied
 
 __all__ = ["CanWire", "NoAnswer", "open_bus"]
 
@@ -38,6 +38,8 @@ HEARTBEAT = 0x700
 NMT = 0x000
 BOOT_UP = 0x00  # as a heartbeat's state (CiA 301, 7.2.8.3.3)
 _WITH_MULTIPLEXER = (2, 3, 4)  # SDO server: upload and download begin, abort (CiA 301, 7.2.4.3)
+# SDO abort codes for what may go a little later: of the application, local control, the device's state
+_BUSY = 0x08000020, 0x08000021, 0x08000022
 _NO_OBJECT = b"\0\0\0"  # some drives abort so
 _SEGMENT, _LARGEST_OBJECT = 7, 5_000_000  # bytes; the largest object is an EDS (1021h)
 _POST_ANSWER = 0.05  # s that the answer to a posted download may take
@@ -405,8 +407,8 @@ class CanWire:
         return found
 
     def download(self, index: int, sub: int, data: bytes) -> None:
-        """Write an object; raises NoAnswer, AccessDenied."""
-        with self._translated(index, sub):
+        """Write an object; raises NoAnswer, WriteDenied."""
+        with self._translated(index, sub, WriteDenied):
             self._sdo.download(index, sub, data)
 
     def post_download(self, index: int, sub: int, data: bytes) -> None:
@@ -427,15 +429,16 @@ class CanWire:
             self._posted = 0
 
     @contextlib.contextmanager
-    def _translated(self, index: int, sub: int) -> Any:
+    def _translated(self, index: int, sub: int, denied: type[AccessDenied] = AccessDenied) -> Any:
         self._settle_posts()
         self._sdo.about = struct.pack("<HB", index, sub)
         try:
             yield
         except SdoAbortedError as error:
             text = SdoAbortedError.CODES.get(error.code, "unknown abort code")
-            raise AccessDenied(
-                f"{index:04X}h:{sub:02X}: node {self.node} refuses it: {text} ({error.code:08X}h)"
+            raise denied(
+                f"{index:04X}h:{sub:02X}: node {self.node} refuses it: {text} ({error.code:08X}h)",
+                busy=error.code in _BUSY,
             ) from None
         except SdoCommunicationError as error:
             raise NoAnswer(

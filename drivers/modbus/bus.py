@@ -4,28 +4,46 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
+from time import sleep
 
 from drivers.drive import Exchange
 from drivers.modbus.client import POST_ANSWER, Client, NoAnswer
 from drivers.modbus.mailbox import MailboxAccess
 from drivers.modbus.registers import decode, encode
 from drivers.pace import Pace
+from drivers.patience import patiently
 from drivers.serial_port import SerialPort, Stream
 from drivers.stepping import set_simulation
-from profiles.errors import AccessDenied, LinkLost, ProfileError, TwoRelayError, UsageError
-from profiles.schema import Address, Identity, MailboxAddress, ModbusAddress, Profile
+from profiles.errors import (
+    AccessDenied,
+    DriveFault,
+    LinkLost,
+    ProfileError,
+    TwoRelayError,
+    UsageError,
+    WriteDenied,
+)
+from profiles.schema import Address, Identity, LinkDefaults, MailboxAddress, ModbusAddress, Profile
 
 __all__ = ["ModbusBus", "identify"]
 
 _MOST_READ = 125  # registers in one answer (Modbus application protocol 6.3)
+_ASKED_AGAIN = 0.05  # s
 MISSED_CYCLES = 3  # consecutive cycles without a sample are a lost link (safety, receive deadline)
 
 
 def identify(client: Client) -> Identity:
     """Vendor, product and revision by FC 43/14; a drive without it has empty ones."""
+
+    def wait() -> float:
+        sleep(_ASKED_AGAIN)
+        return _ASKED_AGAIN
+
     try:
-        found = client.identification()
-    except AccessDenied:
+        found = patiently(client.identification, LinkDefaults().patience, wait)
+    except AccessDenied as error:
+        if error.busy:
+            raise
         found = {}
     return Identity(
         vendor=found.get(0, ""),
@@ -84,23 +102,23 @@ class ModbusBus:
         try:
             words = self._client.read(at.read_function, at.register_, at.count)
         except AccessDenied as error:
-            raise AccessDenied(f"{at}: {error}") from None
+            raise AccessDenied(f"{at}: {error}", busy=error.busy) from None
         if at.bits is not None:
             self._words[at.register_] = words[0]
         return decode(at, words)
 
     def write(self, address: Address, raw: int) -> None:
-        """Write a raw value; raises LinkError, AccessDenied."""
-        if self._mailbox is not None and isinstance(address, MailboxAddress):
-            self._mailbox.write(address, raw)
-            return
-        at = _modbus(address)
+        """Write a raw value; raises LinkError, WriteDenied."""
         try:
+            if self._mailbox is not None and isinstance(address, MailboxAddress):
+                self._mailbox.write(address, raw)
+                return
+            at = _modbus(address)
             if at.bits is not None and at.write_function != 22:
                 self.read(at)  # the bits that are not ours stay as they are
             self._put(at, raw, self._client.write)
         except AccessDenied as error:
-            raise AccessDenied(f"{at}: {error}") from None
+            raise WriteDenied(f"{address}: {error}", busy=error.busy) from None
 
     def post(self, address: Address, raw: int) -> None:
         """Send a write; no answer is waited for.
@@ -175,7 +193,9 @@ class ModbusBus:
             sent = pace.now() - (pace.cycle if pace.stepping else 0.0)
             try:
                 answer, latched = self._transact(words)
-            except NoAnswer as error:
+            except (NoAnswer, AccessDenied) as error:
+                if isinstance(error, AccessDenied) and not error.busy:
+                    raise DriveFault(f"the drive refuses the cycle: {error}") from None
                 missed += 1
                 if missed >= MISSED_CYCLES:
                     raise LinkLost(
@@ -218,6 +238,10 @@ class ModbusBus:
         if self._pace.stepping:
             set_simulation(self.write, self._profile, "simulation_advance", seconds, self._is_twin)
         self._pace.pass_time(seconds)
+
+    def now(self) -> float:
+        """Time of the cycle's clock, s."""
+        return self._pace.now()
 
     def other_master(self) -> str:
         """Modbus shows no other client."""

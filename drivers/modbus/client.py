@@ -41,6 +41,8 @@ _EXCEPTIONS = {
     11: "gateway target device failed to respond",
 }
 
+_BUSY = 5, 6
+
 Trace = Callable[[bool, bytes], None]
 
 POST_ANSWER = 0.01  # s that a posted write may hold up the next one
@@ -51,7 +53,7 @@ class ExceptionAnswer(AccessDenied):
     """The unit, or a gateway before it, answers with an exception; `code` as in the standard."""
 
     def __init__(self, message: str, code: int) -> None:
-        super().__init__(message)
+        super().__init__(message, busy=code in _BUSY)
         self.code = code
 
 

@@ -14,7 +14,7 @@ from drivers.virtual.device import Device
 from drivers.virtual.firmware import SECOND, Denied
 from drivers.virtual.modbus_identity import PRODUCT, REVISION, VENDOR
 from drivers.virtual.registers import RegisterMap
-from profiles.errors import AccessDenied, UsageError
+from profiles.errors import AccessDenied, UsageError, WriteDenied
 from profiles.schema import Address, Identity, ModbusAddress, Profile
 
 __all__ = ["DirectBus"]
@@ -63,14 +63,14 @@ class DirectBus:
         return int(struct.unpack(f">{_CODES[address.type]}", packed)[0])
 
     def write(self, address: Address, raw: int) -> None:
-        """Write a raw value; raises AccessDenied."""
+        """Write a raw value; raises WriteDenied."""
         assert isinstance(address, ModbusAddress)
         packed = struct.pack(f">{_CODES[address.type]}", raw)
         words = list(struct.unpack(f">{len(packed) // 2}H", packed))
         try:
             self._map.write(address.register_, words)
         except Denied as error:
-            raise AccessDenied(f"{address}: the virtual drive refuses {raw} ({error})") from None
+            raise WriteDenied(f"{address}: the virtual drive refuses {raw} ({error})") from None
 
     def post(self, address: Address, raw: int) -> None:
         """Write; nothing can be lost here."""
@@ -141,6 +141,10 @@ class DirectBus:
     def wait(self, seconds: float) -> None:
         """Let simulated time pass."""
         self._firmware.advance(round(seconds * SECOND))
+
+    def now(self) -> float:
+        """Time of the cycle's clock, s."""
+        return self._firmware.now / SECOND
 
     def other_master(self) -> str:
         """There is only this process."""

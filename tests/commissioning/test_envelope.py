@@ -9,7 +9,7 @@ from commissioning.experiments.first_look import FirstLook
 from commissioning.experiments.plan import Context
 from commissioning.experiments.stopping import Stopping, run_up
 from drivers.sample import Sample, Status
-from profiles.errors import EnvelopeTripped
+from profiles.errors import EnvelopeTripped, FeedbackReversed
 
 OK = Status(enabled=True, fault=False, stopping=False, limit=False, word=0x27)
 
@@ -278,3 +278,104 @@ def test_what_is_said_is_what_is_beyond_its_limit_and_not_what_is_at_it() -> Non
     with pytest.raises(EnvelopeTripped) as tripped:
         plain.check(sample(TICK, 0.25))
     assert "for the first motions" not in str(tripped.value)
+
+
+# -- positions that are commanded ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_position_command_beyond_the_travel_is_not_sent(sign: float) -> None:
+    w = exact(cycle=1.0, resolution=2**-10)
+    w.admit_position(sign * 0.25)
+    w.admit_position(sign * (0.5 + 2**-10))
+    with pytest.raises(
+        EnvelopeTripped, match=r"position command: [+-]0\.502 rad .* beyond ±0\.5 rad"
+    ):
+        w.admit_position(sign * (0.5 + 2**-9))
+
+
+def test_a_position_command_that_is_no_number_is_not_sent() -> None:
+    with pytest.raises(EnvelopeTripped, match="position command"):
+        exact().admit_position(float("nan"))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_step_of_the_position_command_is_no_more_than_the_speed_goes_in_a_cycle(
+    sign: float,
+) -> None:
+    w = exact(cycle=TICK, resolution=0.0)  # 8 rad/s for 1/128 s
+    w.admit_position(sign / 16)
+    w.admit_position(sign / 8)
+    with pytest.raises(EnvelopeTripped, match=r"a step of [+-]0\.0625 rad is more than 8 rad/s"):
+        w.admit_position(sign * beyond(3 / 16))
+
+
+# -- the position answers against the torque -----------------------------------------------------------
+
+LIGHT = Stopping(inertia=1e-3, friction=0.1, braking=0.2, reaction=0.01)
+
+
+def seen(w: Watch, positions: list[float], command: float = 0.0) -> None:
+    for n, position in enumerate(positions):
+        w.check(sample(n * TICK, position, command))
+
+
+def judged(**changes: object) -> Watch:
+    """0.2 N.m and 0.1 N.m of friction on 1e-3 kg.m2: six times 300 rad/s² is 14 rad/s in 1/128 s."""
+    fixed = {"travel": 1e3, "speed": 1e3, "stopping": LIGHT, "relay_torque": 0.2}
+    return exact(**{**fixed, **changes})
+
+
+def test_a_speed_that_turns_within_a_cycle_is_the_encoder() -> None:
+    there = [n * 8 * TICK for n in range(5)]
+    with pytest.raises(FeedbackReversed, match=r"the speed turned to -8 rad/s within one cycle"):
+        seen(judged(), [*there, there[3], there[2]])
+
+
+@pytest.mark.parametrize(
+    ("positions", "why"),
+    [
+        ([n * 8.0 * TICK for n in (0, 1, 2, 9, 4, 5, 6)], "one disturbed sample"),
+        ([n * 8.0 * TICK for n in (0, 1, 2, -5, 4, 5, 6)], "the same, the other way"),
+        ([n * 7.0 * TICK for n in (0, 1, 2, 1, 0, -1)], "the torque can do as much"),
+        ([n * 8.0 * TICK for n in (0, 1, 2, 1, 1, 1)], "it hit something and stays"),
+    ],
+)
+def test_no_other_change_of_speed_is(positions: list[float], why: str) -> None:
+    seen(judged(), positions)
+
+
+def test_counts_of_a_coarse_encoder_are_no_speeds() -> None:
+    """Four counts of 1/16 rad a cycle are 32 rad/s, and so much may the speed seem to change."""
+    seen(judged(resolution=1 / 16), [0.0, 1 / 16, 0.0, -1 / 16, -2 / 16])
+
+
+def test_nothing_is_judged_before_the_inertia_is_known() -> None:
+    there = [n * 8 * TICK for n in range(5)]
+    seen(judged(stopping=None), [*there, there[3], there[2]])
+
+
+def gaining(command: float, **changes: object) -> None:
+    """From 1 rad/s by 256 rad/s² to beyond the speed limit of 8 rad/s, in 3.5 to 4 cycles of 1/128 s."""
+    w, position = exact(travel=1e3, **changes), 0.0
+    for n in range(12):
+        w.check(sample(n * TICK, position, command))
+        position += (1 + 2 * n) * TICK
+
+
+def test_an_axis_that_gains_speed_against_its_torque_is_said_to() -> None:
+    with pytest.raises(
+        FeedbackReversed, match=r"gained speed against its torque for 31 ms, from 1 to"
+    ):
+        gaining(-0.1, bias=0.05)
+
+
+@pytest.mark.parametrize(
+    ("command", "bias"),
+    [(0.1, 0.05), (-0.1, -0.2), (-0.1, float("nan"))],
+    ids=["with its torque", "less than what holds the load", "nothing known"],
+)
+def test_any_other_that_is_too_fast_is_told_the_limit(command: float, bias: float) -> None:
+    with pytest.raises(EnvelopeTripped, match="is above the limit of 8 rad/s") as caught:
+        gaining(command, bias=bias)
+    assert not isinstance(caught.value, FeedbackReversed)

@@ -13,7 +13,7 @@ from drivers.link import axis_of, open_drive
 from drivers.virtual.axes import AXES
 from drivers.virtual.device import Device
 from drivers.virtual.firmware import Firmware
-from profiles.errors import AccessDenied, PreflightRefused, UnknownName, WriteFailed
+from profiles.errors import AccessDenied, PreflightRefused, UnknownName, WriteDenied, WriteFailed
 from profiles.schema import Mode
 from tests.conftest import Serve
 from tests.serving import WIRES
@@ -119,7 +119,37 @@ def test_a_drive_in_fault_is_not_enabled_and_resets_without_energy(drive: Drive)
 
 
 def test_what_the_drive_refuses_comes_back_as_a_refusal(drive: Drive) -> None:
+    """A refusal to be read is a matter of the link (4), one to be written to of the write (7)."""
+    bus = drive._bus  # type: ignore[attr-defined]
+    known = drive.profile.parameters["max_torque"].address
+    where = {"index": 0x5FF0} if drive.profile.bus == "canopen" else {"register_": 0x7FF0}
+    nowhere = known.model_copy(update=where)
+    with pytest.raises(AccessDenied) as read:
+        bus.read(nowhere)
+    with pytest.raises(WriteDenied) as written:
+        bus.write(nowhere, 1)
+    assert (read.value.exit_code, written.value.exit_code) == (4, 7)
+
+
+def test_nothing_is_stored_while_the_drive_is_enabled(drive: Drive) -> None:
     drive.enable(Mode.TORQUE)
-    with pytest.raises(AccessDenied):
-        drive.store()  # not while enabled
+    with pytest.raises(WriteFailed, match="disable it first"):
+        drive.store()
     drive.stop()
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_set_point_that_its_register_cannot_hold_is_refused_and_not_sent(
+    drive: Drive, sign: int
+) -> None:
+    """By a scale that is wrong: 40 000 in an i16."""
+    drive.enable(Mode.TORQUE)
+    step = drive.scaling.step(drive.profile.parameters["torque_target"])
+    with pytest.raises(
+        PreflightRefused, match=r"is -?40000 of 'torque_target' .* takes -32768…32767"
+    ):
+        drive.exchange(sign * 40_000 * step)
+    assert drive.stop().deenergised
+    with pytest.raises(PreflightRefused, match="takes"):
+        drive.enable(Mode.TORQUE, sign * 40_000 * step)
+    assert not drive.is_energised()

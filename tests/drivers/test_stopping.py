@@ -69,6 +69,9 @@ class Motor:
         if self._rests_after is not None and self.waits >= self._rests_after:
             self.energised = False
 
+    def now(self) -> float:
+        return 7.0 + 0.005 * self.waits
+
     def descriptor(self) -> int | None:
         return self.lent
 
@@ -147,14 +150,14 @@ def test_a_second_signal_ends_the_waiting() -> None:
 @pytest.mark.parametrize(
     ("motion", "waits"),
     [
-        # the noise is 0.02 of 1000 increments, and the first looks at 30 allow 2 · 30 + 20 = 80
-        ([30, 30, 81, 81, 81], 5),
-        ([30, 30, 80, 80, 80, 80], 200),
-        ([30, 30, 81, 81, 80, 81, 81, 81], 8),
-        ([-30, -30, -81, -81, -81], 5),
-        ([10, 30, 79, 81, 81, 81], 6),
-        ([100, 30, 219, 219, 219], 200),
-        ([100, 30, 221, 221, 221], 5),
+        # noise: 0.3 revolutions/s of 1000 increments are 1.5 in 5 ms; the first looks at 30 allow 37.5
+        ([30, 30, 38, 38, 38], 4),
+        ([30, 30, 37, 37, 37, 37], 200),
+        ([30, 30, 38, 37, 38, 37, 38, 38], 8),
+        ([-30, -30, -38, -38, -38], 4),
+        ([10, 30, 37, 38, 38, 38], 5),
+        ([100, 30, 121, 121, 121], 200),
+        ([100, 30, 122, 122, 122], 4),
     ],
 )
 def test_an_axis_that_becomes_faster_loses_its_energy_at_once(

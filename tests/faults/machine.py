@@ -42,6 +42,7 @@ class Fault(StrEnum):
     EMERGENCY = "EMCY (motor too hot)"
     STUCK = "stuck axis"
     RUNAWAY = "wrong sign"
+    ENCODER = "encoder's direction"
     TRIPLE = "thrice the torque"
     JUMP = "encoder jump"
 
@@ -76,6 +77,7 @@ class Outcome:
     reaction : from the fault to the loss of energy, s
     drop : of a load, from where the drive left operation to the lowest point after it, rad
     travel : largest distance from the start, rad
+    faster : speed that was gained after the fault, rad/s
     """
 
     job: Job
@@ -86,6 +88,7 @@ class Outcome:
     reaction: float = 0.0
     drop: float = 0.0
     travel: float = 0.0
+    faster: float = 0.0
     wrong: str = ""
 
 
@@ -115,7 +118,7 @@ class _Machine:
         self.began: int | None = None  # ns, of the fault
         self.left: float | None = None  # position when the drive left operation
         self.off: int | None = None  # ns
-        self.drop = self.travel = 0.0
+        self.drop = self.travel = self.speed = self.fastest = 0.0
         self.firmware: Firmware | None = None
         self._start = 0.0
         self._shift = 0
@@ -169,14 +172,20 @@ class _Machine:
             plant.stuck = True
         elif fault is Fault.JUMP:
             self._shift = round(0.25 * firmware.axis.encoder)
+        elif fault is Fault.TRIPLE:
+            plant.gain = 3.0
         else:
-            plant.gain = -1.0 if fault is Fault.RUNAWAY else 3.0
+            # as the encoder sees it, its new direction is a motor that pushes the other way
+            plant.gain = -1.0
+            plant.velocity *= -1.0 if fault is Fault.ENCODER else 1.0
+        self.speed = self.fastest = abs(plant.velocity)
 
     def _watch(self, firmware: Firmware) -> None:
         at = firmware.plant.position
         self.travel = max(self.travel, abs(at - self._start))
         if self.began is None:
             return
+        self.fastest = max(self.fastest, abs(firmware.plant.velocity))
         if self.left is None and firmware.state is not State.OPERATION_ENABLED:
             self.left = at
         if self.off is None and not firmware.energised:
@@ -249,6 +258,7 @@ def one(job: Job, phase: str, fault: Fault, delay: float, folder: Path) -> Outco
             firmware.advance(_LOOK)
         outcome.travel = machine.travel / job.travel
         outcome.drop = machine.drop
+        outcome.faster = machine.fastest - machine.speed
         if machine.began is None:
             return outcome
         outcome.code = code
@@ -261,7 +271,7 @@ def one(job: Job, phase: str, fault: Fault, delay: float, folder: Path) -> Outco
         if len(text.splitlines()) > 1:
             wrong.append("more than one line")
         # no stop holds an axis whose motor pushes the wrong way
-        if outcome.travel > 1 and fault is not Fault.RUNAWAY:
+        if outcome.travel > 1 and fault not in (Fault.RUNAWAY, Fault.ENCODER):
             wrong.append(f"{100 * outcome.travel:.0f} % of the travel")
         if firmware.energised:
             wrong.append("energised")
@@ -315,7 +325,9 @@ def main() -> int:
                     )
             out.write(f"{job.axis}, {job.work}: {len(found)} phases\n")
             out.flush()
-    out.write("fault: cases, held, slowest reaction s, most of the travel %, largest drop rad\n")
+    out.write(
+        "fault: cases, held, slowest reaction s, most of the travel %, largest drop rad, speed gained rad/s\n"
+    )
     for fault in Fault:
         mine = [o for o in outcomes if o.fault is fault]
         if not mine:
@@ -323,7 +335,7 @@ def main() -> int:
         drop = max((o.drop for o in mine if o.job.axis == "vertical"), default=0.0)
         out.write(
             f"{fault}: {len(mine)}, {sum(not o.wrong for o in mine)}, {max(o.reaction for o in mine):.3f}, "
-            f"{100 * max(o.travel for o in mine):.0f}, {drop:.3f}\n"
+            f"{100 * max(o.travel for o in mine):.0f}, {drop:.3f}, {max(o.faster for o in mine):.1f}\n"
         )
     held = sum(not o.wrong for o in outcomes)
     out.write(f"machine faults: {len(outcomes)} cases, {held} held\n")

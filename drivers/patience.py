@@ -1,0 +1,32 @@
+"""A drive that says it is busy is asked again: "not yet" is no refusal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+from profiles.errors import AccessDenied
+
+__all__ = ["patiently"]
+
+T = TypeVar("T")
+
+
+def patiently(action: Callable[[], T], patience: float, wait: Callable[[], float]) -> T:
+    """What `action` gives, asked again for `patience` s while the drive says that it is busy.
+
+    `wait` lets some time pass and says how much, s. Raises AccessDenied, and says how long it was asked.
+    """
+    waited = 0.0
+    while True:
+        try:
+            return action()
+        except AccessDenied as error:
+            if not error.busy:
+                raise
+            if waited >= patience:
+                error.args = (
+                    f"{error}; it was asked again for {waited:.3g} s ([link] patience in the profile)",
+                )
+                raise
+        waited += wait()

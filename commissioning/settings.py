@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from commissioning.journal import Intent, Journal, Kind
 from drivers.drive import SET, Drive
 from profiles.errors import JournalError, LinkError, TwoRelayError, WriteFailed
-from profiles.schema import Protection
 
 __all__ = ["Restored", "Settings", "put_back", "settle"]
 
@@ -75,10 +74,19 @@ class Settings:
 
     def remember(self, parameter: str) -> None:
         """Journal a set-point as it is, to be put back after motion."""
-        if self._drive.profile.parameters[parameter].protection is Protection.COMMAND:
+        if parameter in SET:
             there = self._drive.read_raw(parameter)
             intent = self._journal.intend(self.run, "experiment", parameter, there, there)
             self._journal.settle([intent], "verified")
+
+    def remember_power(self) -> None:
+        """Journal the registers that enabling, stopping and disabling will write, as they are."""
+        for name, raws in self._drive.power_changes().items():
+            there = self._drive.read_raw(name)
+            for raw in raws:
+                if raw != there:
+                    intent = self._journal.intend(self.run, "experiment", name, there, raw)
+                    self._journal.settle([intent], "verified")
 
     def remember_bus(self) -> None:
         """Journal what the cycle will change of the bus' own objects in the drive."""

@@ -115,6 +115,9 @@ class Drive(Protocol):
     def check_set_points(self, mode: Mode, largest: float) -> None:
         """Raises PreflightRefused where ±`largest` (SI) does not fit the set-point of `mode`."""
 
+    def power_changes(self) -> dict[str, tuple[int, ...]]:
+        """Raw values that energising, stopping and the way back write to parameters that are put back."""
+
     def bus_changes(self) -> dict[str, tuple[int, int]]:
         """Objects of the bus' own that the cycle changes in the drive: what is there, and what will be."""
 

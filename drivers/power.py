@@ -186,10 +186,16 @@ class ProcedurePower:
         into = profile.cycle.in_
         self._at_enabled = into.index(power.enabled.parameter) if profile.moves else 0
         fault = power.fault
+        stopping = power.stopping
         self._at_fault = (
             into.index(fault.parameter) if fault is not None and fault.parameter in into else None
         )
-        self._known: dict[tuple[int, int], Status] = {}
+        self._at_stopping = (
+            into.index(stopping.parameter)
+            if stopping is not None and stopping.parameter in into
+            else None
+        )
+        self._known: dict[tuple[int, int, int], Status] = {}
 
     def _holds(self, condition: Condition | None) -> bool:
         if condition is None:
@@ -204,11 +210,13 @@ class ProcedurePower:
         if fault is not None and self._holds(fault):
             code = self._bus.read(self._profile.parameters[fault.parameter].address)
             return f"fault ({fault.parameter} {code:04X}h)"
-        return "enabled" if self.is_energised() else "disabled"
+        if self._holds(self._power.stopping):
+            return "stopping"
+        return "enabled" if self._holds(self._power.enabled) else "disabled"
 
     def is_energised(self) -> bool:
         """Whether the drive says that it controls the axis."""
-        return self._holds(self._power.enabled)
+        return self._holds(self._power.enabled) or self._holds(self._power.stopping)
 
     def in_fault(self) -> bool:
         """Whether the drive reports a fault."""
@@ -238,7 +246,8 @@ class ProcedurePower:
 
     def _await(self, frame: Frame, *, enabled: bool) -> None:
         waited = 0.0
-        while self.is_energised() is not enabled:
+        wanted = self._power.enabled
+        while (self._holds(wanted) if enabled else self.is_energised()) is not enabled:
             if enabled and self.in_fault():
                 raise DriveFault(f"the drive went into fault while enabling: {self._describe()}")
             if waited >= _TRANSITION:
@@ -259,14 +268,19 @@ class ProcedurePower:
 
     def status(self, values: tuple[int, ...]) -> Status:
         """What the parameters of the conditions say; there is no sign of a limit."""
-        at = self._at_fault
-        seen = values[self._at_enabled], 0 if at is None else values[at]
+        at, brakes = self._at_fault, self._at_stopping
+        seen = (
+            values[self._at_enabled],
+            0 if at is None else values[at],
+            0 if brakes is None else values[brakes],
+        )
         status = self._known.get(seen)
         if status is None:
-            fault = self._power.fault
+            fault, stopping = self._power.fault, self._power.stopping
             tripped = at is not None and fault is not None and fault.holds(seen[1])
-            on = self._power.enabled.holds(seen[0]) and not tripped
-            status = Status(on, tripped, stopping=False, limit=False, word=seen[0] & 0xFFFF)
+            slows = brakes is not None and stopping is not None and stopping.holds(seen[2])
+            on = self._power.enabled.holds(seen[0]) and not tripped and not slows
+            status = Status(on, tripped, stopping=slows, limit=False, word=seen[0] & 0xFFFF)
             self._known[seen] = status
         return status
 

@@ -253,6 +253,22 @@ class ProfiledDrive:
             found[host] = 0  # it would act on top of every command
         return found
 
+    def power_changes(self) -> dict[str, tuple[int, ...]]:
+        """Raw values that energising, stopping and the way back write to parameters that are put back."""
+        power = self.profile.power
+        steps = (*power.enable, *power.reset) if power is not None else ()
+        found: dict[str, tuple[int, ...]] = {}
+        for step in (*steps, *self.profile.stop, *self.profile.disable):
+            if step.write is None or step.raw is None:
+                continue
+            parameter = self._parameter(step.write)
+            if (
+                parameter.protection is Protection.EXPERIMENT
+                and parameter.access is not Access.WRITE_ONLY
+            ):
+                found[step.write] = (*found.get(step.write, ()), step.raw)
+        return found
+
     def bus_changes(self) -> dict[str, tuple[int, int]]:
         """Objects of the bus' own that the cycle changes in the drive: what is there, and what will be."""
         return self._bus.changes()
@@ -274,14 +290,9 @@ class ProfiledDrive:
             there = self.read_raw(condition.parameter)
             if not condition.holds(there):
                 parameter = self._parameter(condition.parameter)
-                wanted = (
-                    f"must be {condition.equals}"
-                    if condition.equals is not None
-                    else f"must not be {condition.differs}"
-                )
                 raise PreflightRefused(
                     f"'{condition.parameter}' ({parameter.address}, {parameter.title}) reads {there}, and "
-                    f"{wanted}: set it in the drive first"
+                    f"{condition}: set it in the drive first"
                 )
 
         self._check_enabling_value()

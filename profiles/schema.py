@@ -369,38 +369,58 @@ class Step(_Strict):
 
 
 class Condition(_Strict):
-    """Bits of a parameter that read `equals`, or anything but `differs`."""
+    """Bits of a parameter that read `equals`, or one of the values `among`, or anything but `differs`."""
 
     parameter: str
     mask: int = -1
     equals: int | None = None
+    among: tuple[int, ...] | None = None
     differs: int | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if (self.equals is None) == (self.differs is None):
-            raise ValueError("a condition has either equals or differs")
-        value = self.equals if self.equals is not None else self.differs
-        if value is not None and value & self.mask != value:
-            raise ValueError(f"mask {self.mask:#x} never leaves {value:#x}: it can never read so")
+        if sum(given is not None for given in (self.equals, self.among, self.differs)) != 1:
+            raise ValueError("a condition has equals, among or differs, and only one of them")
+        if self.among == ():
+            raise ValueError("among is empty: nothing ever reads so")
+        values = self.wanted or (self.differs,)
+        for value in values:
+            if value is not None and value & self.mask != value:
+                raise ValueError(
+                    f"mask {self.mask:#x} never leaves {value:#x}: it can never read so"
+                )
         return self
+
+    @property
+    def wanted(self) -> tuple[int, ...]:
+        """Values with which it holds; none where it is about the one with which it does not."""
+        return self.among or (() if self.equals is None else (self.equals,))
 
     def holds(self, raw: int) -> bool:
         """Whether `raw` of the parameter fulfils it."""
-        if self.equals is not None:
-            return raw & self.mask == self.equals
-        return raw & self.mask != self.differs
+        if self.differs is not None:
+            return raw & self.mask != self.differs
+        return raw & self.mask in self.wanted
+
+    def __str__(self) -> str:
+        """What it must read."""
+        if self.differs is not None:
+            return f"must not be {self.differs}"
+        return f"must be {' or '.join(str(value) for value in self.wanted)}"
 
 
 class Power(_Strict):
     """How a drive without the CiA 402 state machine is energised, and how it says so.
 
-    Its energy is taken by the profile's `disable`. `fault` is watched in every cycle where its parameter
-    is in the cycle. `enable` is empty only where there is no torque command: such a drive is never energised.
+    Its energy is taken by the profile's `disable`. `stopping`: it brakes, and takes no commands any more;
+    without that sign only the position tells when it has come to rest. `fault` and `stopping` are watched
+    in every cycle where their parameter is in the cycle. `enable` is empty only where there is no torque
+    command: such a drive is never energised.
     """
 
     enable: tuple[Step, ...] = ()
     enabled: Condition
+    stopping: Condition | None = None
     fault: Condition | None = None
     reset: tuple[Step, ...] = ()
 
@@ -770,7 +790,7 @@ class Profile(_Strict):
         found += [(where, step.write or step.until or "") for where, step in self._steps()]
         found += [("requires", condition.parameter) for condition in self.requires]
         if self.power is not None:
-            conditions = (self.power.enabled, self.power.fault)
+            conditions = (self.power.enabled, self.power.stopping, self.power.fault)
             found += [("power", condition.parameter) for condition in conditions if condition]
         for mode, codes in self.modes.items():
             if any(code.code is not None for code in codes):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 from math import inf, nan
@@ -57,6 +58,7 @@ _SOUND = 0.35, 0.72  # f/d1 of well-conditioned oscillations
 _KNOWN = 0.3  # relative half-width of f up to which it is worth a new design
 _CHANGED = 0.87  # of d1: a smaller change is none
 _STALL = 1.5  # cycles
+_COASTS = 1.5  # of the time that friction alone takes to stop the axis
 _NOTICE = 4  # cycles: three missed ones and the one under way
 
 
@@ -99,6 +101,7 @@ class Measurement:
         self.solver: Solver = "thesis" if options.solver == "thesis" else "bracket"
         loops = drive.profile.loops
         self.loop_lag = drive.read(loops.lag) if loops and loops.lag else 0.0  # s
+        self._prepared_for = Mode.TORQUE  # by its `before`, which `set_limits` has written
         self._watchdog_fault: str | None = None  # which its proof left behind; None: no proof yet
         self._heat, self._heated = 0.0, 0  # i²t that is left over, and up to which sample
         self.known: FirstLook
@@ -138,11 +141,14 @@ class Measurement:
             failure = error
             raise
         finally:
+            with contextlib.suppress(TwoRelayError), self.desk.interruption.deferred():
+                self._clear_own_fault()
             self._put_back(failure)
 
     def follow(self, path: TrackingPath) -> TrackingSamples:
         """Follow a path in position mode; its samples are no part of the torque record."""
         envelope = replace(self.envelope, cautious=False, rated=inf, thermal=inf, bias=nan)
+        self._prepare(Mode.POSITION)
         return run(
             track(self.context, path), self.drive, envelope, Recorder(), self.desk.interruption,
             mode=Mode.POSITION, guardian=self.guardian,
@@ -159,8 +165,23 @@ class Measurement:
             if isinstance(error, TwoRelayError):
                 error.args = (f"{error}; {text}",)
 
+    def _clear_own_fault(self) -> None:
+        """Acknowledge what the drive's watchdog said of the silence in which it was stopped."""
+        if self._watchdog_fault and self.drive.fault_text() == self._watchdog_fault:
+            self.drive.reset_fault()
+
+    def _prepare(self, mode: Mode) -> None:
+        """Write what the drive needs in a mode, where it was prepared for another one."""
+        if mode is self._prepared_for:
+            return
+        with self.desk.interruption.deferred():
+            for name, raw in self.drive.preparations(mode).items():
+                self.settings.write("experiment", name, raw)
+        self._prepared_for = mode
+
     def prove_watchdog(self, rest: float) -> None:
         """See the drive stop by itself under the torque `rest` (N.m or N) that holds the axis."""
+        self._prepare(Mode.TORQUE)
         tell = self.recorder.phase if self._watchdog_fault is None else lambda text: None
         self._watchdog_fault = prove_watchdog(
             self.drive, rest, self.limits.travel, self.desk.interruption, tell,
@@ -177,6 +198,7 @@ class Measurement:
             self.recorder.samples
         ) else 0.0  # fmt: skip
         envelope = replace(self.envelope, spent=spent, heat=self._heat_left())
+        self._prepare(Mode.TORQUE)
         return run(
             plan, self.drive, envelope, self.recorder, self.desk.interruption,
             rest=rest, leave_moving=leave_moving, guardian=self.guardian,
@@ -358,6 +380,7 @@ class Measurement:
         self.recorder.phase("holding torque: creep up and down in position mode")
         before = len(self.recorder.samples)
         envelope = replace(self.envelope, rated=inf, thermal=inf, bias=nan)
+        self._prepare(Mode.POSITION)
         start = self.drive.read("position_actual")
         torque = run(
             balancing_torque(replace(self.context, start=start)),
@@ -374,7 +397,16 @@ class Measurement:
         self._widen(cautious.speed)
         position, speed = self._move(run_up(cautious, known), known.offset, leave_moving=True)
         # a drive calls standstill what is slow to it; the axis may coast on
-        still_moving(self.drive)
+        self._clear_own_fault()
+        coasting = (
+            known.inertia * speed / max(known.coulomb - abs(known.offset), 0.1 * known.coulomb)
+        )
+        moved = still_moving(self.drive, 1.0 + _COASTS * coasting)
+        if moved:
+            raise DriveFault(
+                "the stop path could not be proved: the drive has no energy any more, and the axis still "
+                f"moves ({moved:.3g} {self.axis.position_unit} between two looks); nothing larger is moved"
+            )
         distance = abs(self.drive.read("position_actual") - position)
         delay = known.dead_time + self.drive.cycle
         counted = max(distance - speed * delay, 0.25 * distance, 1e-12)

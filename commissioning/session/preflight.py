@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import ceil
 
 from commissioning.interruption import Interruption
 from commissioning.runner import verified
@@ -27,7 +28,7 @@ __all__ = [
 ]
 
 _AT_REST_COUNTS = 3
-_LOOK, _LOOKS = 0.05, 20  # s; it may still settle from what was before
+_LOOK, _PATIENCE = 0.05, 1.0  # s; it may still settle from what was before
 _CYCLES_A_WATCHDOG = 3
 _FEWEST_COUNTS = 500  # of travel
 _PROOF_CYCLES = 5
@@ -99,10 +100,13 @@ def look(drive: Drive, axis: Axis) -> None:
         )
 
 
-def still_moving(drive: Drive) -> float:
-    """How far the axis moves by itself in a moment, rad or m; 0 as soon as it is at rest."""
+def still_moving(drive: Drive, patience: float = _PATIENCE) -> float:
+    """How far the axis moves by itself in a moment, rad or m; 0 as soon as it is at rest.
+
+    `patience` : s until it has to be
+    """
     step = drive.scaling.step(drive.profile.parameters["position_actual"])
-    for _ in range(_LOOKS):
+    for _ in range(ceil(patience / _LOOK)):
         before = drive.read("position_actual")
         drive.wait(_LOOK)
         moved = abs(drive.read("position_actual") - before)
@@ -204,6 +208,7 @@ def set_limits(drive: Drive, settings: Settings, limits: Limits) -> None:
         settings.write("experiment", name, raw)
     for name in SET & set(drive.profile.cycle.out):
         settings.remember(name)
+    settings.remember_power()
     settings.remember_bus()
     for code in drive.mode_codes():
         settings.write("experiment", "mode_of_operation", code)

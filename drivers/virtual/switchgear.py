@@ -64,11 +64,23 @@ class Switchgear:
             busy = self._device.read("store_status") != 0
             return self._ready[name] ^ 1 if busy else self._ready[name]
         tripped = firmware.state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
-        conditions = ((self._power.enabled, firmware.energised), (self._power.fault, tripped))
+        enabled = firmware.state is State.OPERATION_ENABLED
+        brakes, stopping, fault = (
+            firmware.energised and not enabled,
+            self._power.stopping,
+            self._power.fault,
+        )
+        if stopping is not None and fault is not None and stopping.mask & fault.mask:
+            tripped = tripped and not brakes  # one value at a time: first that it brakes, then why
+        conditions = (
+            (self._power.enabled, enabled),
+            (stopping, brakes),
+            (fault, tripped),
+        )
         told: int | None = None
         for condition, holds in conditions:
             if condition is not None and condition.parameter == name:
-                told = (told or 0) | _bits(condition, holds=holds)
+                told = (told or 0) | _bits(condition, holds=holds, moves=firmware.velocity != 0)
         return told
 
     def _hold(self, writes: list[Write]) -> bool:
@@ -85,10 +97,11 @@ def _writes(steps: tuple[Step, ...]) -> list[Write]:
     ]
 
 
-def _bits(condition: Condition, *, holds: bool) -> int:
-    """A raw value with which the condition holds, or does not."""
+def _bits(condition: Condition, *, holds: bool, moves: bool) -> int:
+    """A raw value with which the condition holds, or does not; of several, one says that the axis moves."""
     other = condition.mask & 0xFFFF
-    if condition.equals is not None:
-        return condition.equals if holds else (0 if condition.equals else other)
+    if condition.differs is None:
+        value = condition.wanted[-1 if moves else 0]
+        return value if holds else (0 if value else other)
     differs = condition.differs or 0
     return differs ^ (other & -other) if holds else differs

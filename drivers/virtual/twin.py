@@ -200,7 +200,7 @@ def _entry(
         return Entry((), code, "ro", name=name, default=axis.coulomb / parameter.scale)
     known = [key for key in keys if key in _FIRMWARE]
     if not known:
-        wanted = [c.equals for c in profile.requires if c.parameter == name and c.equals]
+        wanted = [value for c in profile.requires if c.parameter == name for value in c.wanted]
         return Entry((), code, access, name=name, default=wanted[0] if wanted else 0)
     unit, step = _FIRMWARE[known[0]]
     law = profile.compensation

@@ -11,6 +11,8 @@ from drivers.power import Cia402Power, ProcedurePower, perform, power_of
 from profiles.errors import DriveFault, PreflightRefused, WriteFailed
 from profiles.library import load_profile
 from profiles.schema import Address, Profile, Step
+from profiles.toml_files import parse_model
+from tests.command import ROOT
 
 CANOPEN, MODBUS = load_profile("virtual-canopen"), load_profile("virtual-modbus")
 LEADSHINE = load_profile("leadshine-el7")
@@ -280,6 +282,46 @@ def test_a_fault_that_the_cycle_tells_takes_enabled_away() -> None:
     assert status(enabled | 64) == (False, True)
     assert status(64) == (False, True)
     assert status(0) == (False, False)
+
+
+TWO_KEY = parse_model((ROOT / "tests/faults/two_key.toml").read_text(), Profile, "two-key")
+
+
+def two_key(machine: Machine, name: str, raw: int) -> None:
+    """State 1 (5 once it moves) with both keys, 2 while it brakes."""
+    machine.values[name] = raw
+    both = machine.values["key_1"] == 85 and machine.values["key_2"] == 170
+    machine.values["servo_state"] = 1 if both else 0
+
+
+def test_each_of_several_values_says_enabled_and_one_says_that_it_brakes() -> None:
+    machine = Machine(TWO_KEY, two_key)
+    power = procedure(machine)
+    power.enable(power.idle())
+    assert machine.written == [("key_1", 85), ("key_2", 170)]
+    told = {}
+    for state in (0, 1, 2, 3, 5, 0x0101):
+        machine.values["servo_state"] = state
+        cycle = tuple(state if n == "servo_state" else 0 for n in TWO_KEY.cycle.in_)
+        status = power.status(cycle)
+        told[state] = power.text(), power.is_energised(), status.enabled, status.stopping
+    assert told == {
+        0: ("disabled", False, False, False),
+        1: ("enabled", True, True, False),
+        2: ("stopping", True, False, True),
+        3: ("disabled", False, False, False),
+        5: ("enabled", True, True, False),
+        0x0101: ("fault (servo_state 0101h)", True, False, False),
+    }
+
+
+def test_a_drive_that_brakes_is_not_enabled_yet_and_has_not_lost_its_energy_yet() -> None:
+    machine = Machine(TWO_KEY, lambda machine, name, raw: None)
+    machine.values["servo_state"] = 2
+    with pytest.raises(PreflightRefused, match="does not become enabled: it stays 'stopping'"):
+        procedure(machine).enable([0, 0])
+    with pytest.raises(PreflightRefused, match="does not become disabled: it stays 'stopping'"):
+        procedure(machine).disable([0, 0])
 
 
 # -- steps --------------------------------------------------------------------------------------------

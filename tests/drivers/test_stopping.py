@@ -12,7 +12,9 @@ from drivers.serial_port import SerialPort
 from drivers.stopping import Rest, StopPath
 from profiles.errors import AccessDenied, LinkLost
 from profiles.library import load_profile
-from profiles.schema import Address, Profile
+from profiles.schema import Address, Profile, Step
+from profiles.toml_files import parse_model
+from tests.command import ROOT
 
 CANOPEN, MODBUS = load_profile("virtual-canopen"), load_profile("virtual-modbus")
 REVOLUTION = 1000.0  # increments
@@ -33,7 +35,8 @@ class Motor:
         obeys: bool = True,
     ) -> None:  # fmt: skip
         self.profile = profile
-        self.control = profile.parameters["controlword"].address
+        known = profile.parameters
+        self.control = known["controlword" if "controlword" in known else "key_2"].address
         self.position_at = profile.parameters["position_actual"].address
         self.energised = True
         self.posts: list[tuple[str, int]] = []
@@ -44,6 +47,7 @@ class Motor:
         self._motion, self._position = list(motion), 0.0
         self._rests_after, self._obeys = rests_after, obeys
         self.lent: int | None = 7
+        self.halted: Callable[[int], int] = lambda waits: 0  # what 'until' looks at
 
     # -- the bus ---------------------------------------------------------------------------------
 
@@ -55,7 +59,8 @@ class Motor:
             self.energised = False
 
     def read(self, address: Address) -> int:
-        assert address == self.position_at
+        if address != self.position_at:
+            return self.halted(self.waits)
         if "read" in self.broken:
             raise AccessDenied("no")
         return round(self._position)
@@ -242,3 +247,99 @@ def test_a_bus_that_others_connect_to_needs_no_frames() -> None:
     motor = Motor(MODBUS)
     motor.lent = None
     assert motor.path().frames(motor.rest()) is None
+
+
+# -- by a procedure -----------------------------------------------------------------------------------
+
+TWO_KEY = parse_model((ROOT / "tests/faults/two_key.toml").read_text(), Profile, "two-key")
+HALT = ("halt", 1)
+
+
+def mute(profile: Profile) -> Profile:
+    """The same drive without a word for braking."""
+    assert profile.power is not None
+    return profile.model_copy(update={"power": profile.power.model_copy(update={"stopping": None})})
+
+
+def test_leaving_enabled_is_no_standstill_where_a_drive_has_no_word_for_braking() -> None:
+    """It brakes for 20 looks and says 'not enabled' from the first one on."""
+    motor = Motor(mute(TWO_KEY), motion=[20.0] * 20, rests_after=1)
+    report, _ = motor.stop()
+    assert motor.posts[:2] == [REST, HALT]
+    assert motor.posts[2:] == [("key_2", 0), ("halt", 0)]
+    assert motor.waits == 20 + 3, "three looks without motion are rest"
+    assert report.deenergised
+
+
+def test_one_that_says_when_it_brakes_is_believed() -> None:
+    motor = Motor(TWO_KEY, motion=[20.0] * 20, rests_after=12)
+    motor.stop()
+    assert motor.waits == 12
+
+
+@pytest.mark.parametrize(("counts", "waits"), [(3.0, 3), (4.0, 200)])
+def test_three_counts_are_no_motion(counts: float, waits: int) -> None:
+    motor = Motor(mute(TWO_KEY), motion=[counts] * 500, rests_after=0)
+    motor.stop()
+    assert motor.waits == waits
+
+
+def test_a_ten_thousandth_of_a_revolution_is_none_either() -> None:
+    fine = Motor(mute(TWO_KEY), motion=[100.0] * 500, rests_after=0)
+    fine.stop(revolution=1e6)
+    assert fine.waits == 3
+    faster = Motor(mute(TWO_KEY), motion=[101.0] * 500, rests_after=0)
+    faster.stop(revolution=1e6)
+    assert faster.waits == 200
+
+
+def test_a_stop_by_a_stranger_sees_rest_without_the_encoders_resolution() -> None:
+    motor = Motor(mute(TWO_KEY), motion=[9000.0] * 7, rests_after=1)
+    motor.stop(revolution=inf)
+    assert motor.waits == 7 + 3
+
+
+WAITING = TWO_KEY.model_copy(
+    update={
+        "stop": (
+            *TWO_KEY.stop,
+            Step(until="store_state", mask=0xFF, equals=6, within=0.1),
+            Step(write="key_1", raw=3),
+        )
+    }
+)
+
+
+def test_a_step_that_waits_is_waited_for_before_the_next_one() -> None:
+    motor = Motor(WAITING, rests_after=0)
+    motor.halted = lambda waits: 0x0106 if waits == 8 else 0
+    report, _ = motor.stop()
+    assert motor.posts == [REST, HALT, ("key_1", 3), ("key_2", 0), ("halt", 0)]
+    assert motor.waits == 8
+    assert report == StopReport(True)
+
+
+def test_a_wait_in_vain_is_told_and_the_energy_goes_all_the_same() -> None:
+    motor = Motor(WAITING, rests_after=0)
+    report, _ = motor.stop()
+    assert motor.posts[-2:] == [("key_2", 0), ("halt", 0)]
+    assert motor.waits == 20
+    assert report == StopReport(True, ("stop: 'store_state' reads 0 for 0.1 s instead of 6",))
+
+
+def test_in_a_hurry_no_step_is_waited_for() -> None:
+    motor = Motor(WAITING, rests_after=0)
+    motor.stop(hurry=lambda: True)
+    assert motor.waits == 0
+
+
+def test_frames_wait_the_longest_that_a_step_may_take_and_only_the_last_time() -> None:
+    motor = Motor(WAITING)
+    frames = motor.path().frames(motor.rest())
+    assert frames is not None
+    first, halt, key = b"torque_target=5", b"halt=1", b"key_1=3"
+    once = [(first, 0.03), (halt, 0.03), (key, 0.03)]
+    assert frames.frames == (
+        *once, *once, (first, 0.03), (halt, 0.1), (key, WAITING.stop_time),
+        *[(b"key_2=0", 0.03), (b"halt=0", 0.03)] * 3,
+    )  # fmt: skip

@@ -42,15 +42,35 @@ class Guardian:
     Attributes
     ----------
     reclaim : takes the port back that the guardian owns, once it has ended
+    said : lines that it has said since it was ready: why it stops the drive, and what it reached
     """
 
     def __init__(self, process: subprocess.Popen[bytes] | None = None) -> None:
         self.reclaim: Callable[[], None] | None = None
         self._process = process
         self._is_dead = False
+        self.said: list[str] = []
+        self._ear: threading.Thread | None = None
         self._line: _Line | None = None
         if process is not None and process.stdin is not None:
             self._line = _never_waiting(process.stdin.fileno())
+            self._ear = threading.Thread(target=self._hear, args=(process,), daemon=True)
+            self._ear.start()
+
+    def _hear(self, process: subprocess.Popen[bytes]) -> None:
+        """All that the guardian says, until it has ended."""
+        assert process.stdout is not None
+        with contextlib.suppress(OSError, ValueError):
+            for line in process.stdout:
+                self.said.append(line.decode("utf-8", "replace").strip())
+
+    def acted(self) -> str:
+        """That the guardian stopped the drive, and why; '' when it did not."""
+        if self._is_dead and self._ear is not None:
+            self._ear.join(_ENDING)  # what it said last is on its way
+        if not self.said:
+            return ""
+        return f"the guardian process stopped the axis: {self.said[0]}"
 
     def arm(self) -> None:
         """From now on silence is a failure; raises DriveFault when the guardian has ended meanwhile."""
@@ -80,7 +100,8 @@ class Guardian:
         except OSError:
             self._line, self._is_dead = None, True
             raise DriveFault(
-                "the guardian process has ended, so nothing would stop the axis if this computer failed; "
+                self.acted()
+                or "the guardian process has ended, so nothing would stop the axis if this computer failed; "
                 f"the axis was stopped{self._taken_back()}"
             ) from None
 
@@ -107,15 +128,18 @@ class Guardian:
         self._line = None
         if line is not None:
             line.end()
-        for stream in (process.stdin, process.stdout):
-            if stream is not None:
-                with contextlib.suppress(OSError):
-                    stream.close()
+        if process.stdin is not None:
+            with contextlib.suppress(OSError):
+                process.stdin.close()
         try:
             process.wait(5)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+        if self._ear is not None:
+            self._ear.join(_ENDING)
+        if process.stdout is not None:
+            process.stdout.close()
 
 
 NOBODY = Guardian()
@@ -125,7 +149,7 @@ NOBODY = Guardian()
 def guarded(drive: Drive, axis: Axis, profile: Path, run: str, home: Path) -> Generator[Guardian]:
     """A guardian for as long as the axis may move; none in simulated time.
 
-    Raises PreflightRefused where there can be none, and the drive has no watchdog either.
+    Raises PreflightRefused where there can be none.
     """
     if not drive.in_real_time:
         yield NOBODY
@@ -134,12 +158,10 @@ def guarded(drive: Drive, axis: Axis, profile: Path, run: str, home: Path) -> Ge
         try:
             guardian = _started(drive, axis, profile, run, home, stack)
         except (OSError, RuntimeError) as error:
-            if drive.profile.watchdog.kind == "none":
-                raise PreflightRefused(
-                    f"no guardian process can be started ({error}), and the drive has no watchdog: nothing "
-                    "would stop the axis if this computer failed"
-                ) from None
-            guardian = Guardian()
+            raise PreflightRefused(
+                f"no guardian process can be started, and without one nothing would stop the axis if this "
+                f"program failed: {error}"
+            ) from None
         yield guardian
 
 

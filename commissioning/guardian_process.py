@@ -46,15 +46,18 @@ def main() -> int:
     _say(f"ready{place}")
     why = _watch(order["limit"], stop)
     if why:
+        _say(why)  # the loop, should it come back, is to know who stopped the axis
         report = stop.now()
+        _say(report)
         with contextlib.suppress(Exception), Journal(Path(order["home"])) as journal:
             journal.note(order["run"], f"guardian: {why}; {report}")
     return 0
 
 
 def _say(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
+    with contextlib.suppress(OSError):  # nobody may be there to hear it
+        sys.stdout.write(f"{text}\n")
+        sys.stdout.flush()
 
 
 class _ByConnection:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 __all__ = ["is_alive", "start", "this_process"]
@@ -45,8 +46,12 @@ def is_alive(pid: object, started: object = None) -> bool:
 
 
 def start(module: str, *arguments: str, **streams: Any) -> subprocess.Popen[Any]:
-    """A module of ours in a process of its own, which a Ctrl-C in our terminal does not reach."""
-    command = [sys.executable, "-m", module, *arguments]
+    """A module of ours in a process of its own, which a Ctrl-C in our terminal does not reach.
+
+    Neither the working directory nor the script's is looked into for modules.
+    """
+    own = Path(__file__).resolve().parent
+    command = [sys.executable, "-P", str(own / "child.py"), str(own.parent), module, *arguments]
     if sys.platform == "win32":
         return subprocess.Popen(  # noqa: S603
             command, creationflags=subprocess.CREATE_NEW_PROCESS_GROUP, **streams

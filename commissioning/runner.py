@@ -15,7 +15,7 @@ from commissioning.interruption import Interruption
 from drivers.drive import Drive, StopReport
 from drivers.realtime import real_time
 from drivers.sample import Sample
-from profiles.errors import DriveFault, FeedbackReversed, TwoRelayError
+from profiles.errors import DriveFault, FeedbackReversed, Interrupted, TwoRelayError
 from profiles.schema import Mode
 
 __all__ = ["Recorder", "run", "verified"]
@@ -103,8 +103,13 @@ def run(
         except BaseException as error:
             guardian.rest()
             no_brake = isinstance(error, FeedbackReversed)
-            verified(drive.stop((lambda: True) if no_brake else interruption.hurried), error)
+            report = drive.stop((lambda: True) if no_brake else interruption.hurried)
             plan.close()
+            acted = guardian.acted()
+            if acted and not isinstance(error, Interrupted):
+                verified(report, fault := DriveFault(acted))
+                raise fault from error
+            verified(report, error)
             raise
     return result
 

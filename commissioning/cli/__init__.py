@@ -5,8 +5,11 @@ from __future__ import annotations
 import io
 import sys
 from importlib import import_module
+from pathlib import Path
 
 import click
+
+from commissioning.child import shadow
 
 __all__ = ["main"]
 
@@ -72,6 +75,10 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # an old code page must not end a job
+    hidden = shadow(Path(__file__).resolve().parents[2])
+    if hidden:
+        click.echo(f"tworelay: {hidden}", err=True)
+        sys.exit(2)
     try:
         cli.main(standalone_mode=False)
     except click.exceptions.Exit as stop:

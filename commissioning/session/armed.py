@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from commissioning.guardian import guarded
+from commissioning.guardian import Guardian, guarded
 from commissioning.runner import Recorder
 from commissioning.runs import RunFolder, Samples
 from commissioning.session.desk import Desk, Options, begin_run, connect, none_unfinished
@@ -18,7 +18,7 @@ from profiles.axis import Axis
 from profiles.errors import TwoRelayError
 from profiles.library import source_text
 
-__all__ = ["Failure", "Work", "experiment_json", "in_a_run"]
+__all__ = ["Failure", "Work", "experiment_json", "in_a_run", "noted"]
 
 Work = Callable[[Measurement, dict[str, Any]], None]
 
@@ -78,7 +78,10 @@ def _run(
         home = desk.journal.folder
         with guarded(drive, axis, folder.profile_path(), run_id, home) as guardian:
             job = Measurement(axis, options, desk, drive, limits, recorder, settings, guardian)
-            work(job, result)
+            try:
+                work(job, result)
+            finally:
+                result["notes"] += noted(guardian)
         result["status"] = "completed"
     except TwoRelayError as error:
         result["friction"] = blank(axis, drive.link, drive.profile, identity)["friction"]
@@ -93,6 +96,12 @@ def _run(
             desk.journal.finish(run_id, result["status"])
             folder.save(result, Samples.of(recorder), None)
     return result
+
+
+def noted(guardian: Guardian) -> list[str]:
+    """What the result keeps of what the guardian did."""
+    acted = guardian.acted()
+    return [acted, *(f"guardian: {line}" for line in guardian.said[1:])] if acted else []
 
 
 def _arming_text(axis: Axis, limits: Limits) -> str:

@@ -74,6 +74,7 @@ def blank(axis: Axis, link: str | None, profile: Profile | None, identity: Ident
         "host_compensation": None,
         "experiment": None,
         "quality": {"verdict": "rejected", "reasons": []},
+        "notes": [],
     }
 
 

@@ -25,6 +25,7 @@ from commissioning import guardian_process
 from commissioning.guardian import NOBODY, Guardian, guarded
 from commissioning.journal import Journal
 from commissioning.processes import start
+from commissioning.session.armed import noted
 from drivers.drive import StopFrames, StopReport
 from drivers.home import home
 from drivers.link import axis_of, open_drive
@@ -37,6 +38,7 @@ from tests.serving import WIRES
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="descriptors are inherited on POSIX")
 _PATIENCE, _LOOK = 20.0, 0.02  # s for what takes a fraction of one
+SILENT = "the loop was silent for more than 250 ms"
 
 
 @contextlib.contextmanager
@@ -47,7 +49,7 @@ def energised(serve: Serve, wire: str, tmp_path: Path) -> Generator[tuple[Profil
     profile = tmp_path / "unwatched.toml"
     profile.write_text(f'extends = "{base}"\nname = "unwatched"\n[watchdog]\nkind = "none"\n')
     axis = Axis(link=link, profile=str(profile))
-    drive = open_drive(axis, cycle=0.005)
+    drive = open_drive(axis, cycle=0.025)  # patient with a busy computer
     drive._bus.write(drive.profile.parameters["watchdog_time"].address, 0)
     try:
         with guarded(drive, axis, profile, begun(axis), home()) as guardian:
@@ -123,8 +125,10 @@ def test_a_silent_loop_is_stopped_for_once_it_is_armed(
         guardian.arm()
         assert comes_to_rest(drive)
         assert said()[0].startswith("guardian: the loop was silent for more than 250 ms; ")
-        with pytest.raises(DriveFault, match="the guardian process has ended"):
+        with pytest.raises(DriveFault, match=f"^the guardian process stopped the axis: {SILENT}$"):
             feed_for_long(guardian)
+        assert noted(guardian)[0] == f"the guardian process stopped the axis: {SILENT}"
+        assert noted(guardian)[1].startswith("guardian: ")
 
 
 @pytest.fixture
@@ -198,7 +202,7 @@ def test_a_guardian_that_hangs_keeps_nobody_from_stopping_the_axis(
             close()
 
         drive.close = closed  # type: ignore[method-assign]
-        drive.stop = lambda *arguments: noted(stop, reports)  # type: ignore[method-assign]
+        drive.stop = lambda *arguments: reported(stop, reports)  # type: ignore[method-assign]
         process.send_signal(signal.SIGSTOP)
         process.wait = impatient(process.wait)  # type: ignore[method-assign]
         for _ in range(20):
@@ -207,7 +211,7 @@ def test_a_guardian_that_hangs_keeps_nobody_from_stopping_the_axis(
     assert reports[0].deenergised, "once its port was ours again"
 
 
-def noted(stop: Callable[[], StopReport], reports: list[StopReport]) -> StopReport:
+def reported(stop: Callable[[], StopReport], reports: list[StopReport]) -> StopReport:
     reports.append(stop())
     return reports[-1]
 
@@ -402,6 +406,49 @@ def test_a_guardian_that_died_while_nothing_moved_lets_nothing_move_any_more() -
     guardian.rest()  # says nothing: a stop may be under way
     with pytest.raises(DriveFault, match="it is not moved"):
         guardian.arm()
+
+
+def test_a_guardian_that_stopped_the_axis_is_not_one_that_ended(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Also where its last words come after its death has been seen."""
+    pretending(
+        monkeypatch,
+        "print('ready', flush=True); import sys, time; sys.stdin.close(); time.sleep(0.2); "
+        "print('silent'); print('at rest')",
+    )
+    guardian = Guardian(commissioning.guardian._process({})[0])
+    assert guardian.acted() == ""
+    guardian._line = Broken()
+    with pytest.raises(DriveFault, match=r"^the guardian process stopped the axis: silent$"):
+        guardian.feed()
+    assert noted(guardian) == [
+        "the guardian process stopped the axis: silent", "guardian: at rest",
+    ]  # fmt: skip
+    guardian.dismiss()
+
+
+def test_a_guardian_that_does_nothing_leaves_no_note() -> None:
+    assert noted(NOBODY) == noted(Guardian()) == []
+
+
+@pytest.mark.parametrize("watchdog", ["none", "cycle"])
+def test_without_a_guardian_nothing_moves_in_real_time(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, watchdog: str
+) -> None:
+    """The drive's own watchdog is no substitute."""
+    pretending(monkeypatch, "print('cannot be reached')")
+    kind = SimpleNamespace(watchdog=SimpleNamespace(kind=watchdog))
+    drive = SimpleNamespace(
+        in_real_time=True, cycle=0.004, link="virtual://bench", profile=kind,
+        stop_frames=lambda: None,
+    )  # fmt: skip
+    axis = Axis(name="a", profile="other", link="virtual://bench")
+    with (
+        pytest.raises(PreflightRefused, match=r"without one nothing would .*: cannot be reached$"),
+        guarded(drive, axis, tmp_path / "p.toml", "run", tmp_path),  # type: ignore[arg-type]
+    ):
+        pass
 
 
 def test_nobody_is_told_nothing() -> None:

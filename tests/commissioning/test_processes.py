@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
 
 from commissioning.processes import is_alive, start, this_process
+from tests.command import ROOT
 
 
 def test_this_process_is_alive_and_is_told_from_a_later_one_of_its_number() -> None:
@@ -61,3 +63,36 @@ def test_a_child_is_out_of_reach_of_a_ctrl_c_in_our_terminal() -> None:
         assert os.getsid(child.pid) == child.pid != os.getsid(0)
         assert child.stdout is not None
         assert "version" in child.stdout.read()
+
+
+@pytest.mark.parametrize("package", ["profiles", "drivers"])
+def test_a_file_of_the_user_s_is_not_taken_for_a_package_of_ours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
+) -> None:
+    """A child looks neither into the working directory nor past its parent's own folder."""
+    (tmp_path / f"{package}.py").write_text("raise SystemExit('taken for ours')")
+    monkeypatch.chdir(tmp_path)
+    child = start("commissioning", "virtual", "list", stdout=subprocess.PIPE, text=True)
+    said, _ = child.communicate(timeout=60)
+    assert child.returncode == 0
+    assert said.startswith("bench")
+
+
+@pytest.mark.parametrize(("package", "is_folder"), [("profiles", False), ("drivers", True)])
+def test_what_hides_a_package_of_ours_is_refused_by_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str, is_folder: bool
+) -> None:
+    hiding = tmp_path / (f"{package}/__init__.py" if is_folder else f"{package}.py")
+    hiding.parent.mkdir(exist_ok=True)
+    hiding.write_text("raise SystemExit('taken for ours')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    words = f"{hiding} hides tworelay's own package '{package}' ({ROOT / package})"
+    own = [sys.executable, "-P", "-m", "commissioning", "virtual", "list"]
+    done = subprocess.run(own, check=False, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"tworelay: {words}: ")
+    assert len(done.stderr.strip().splitlines()) == 1
+    child = start("commissioning", "virtual", "list", stdout=subprocess.PIPE, text=True)
+    said, _ = child.communicate(timeout=60)
+    assert child.returncode == 2
+    assert said.startswith(words)

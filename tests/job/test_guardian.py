@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from commissioning.journal import Journal
+from commissioning.runs import RunFolder
 from drivers.home import home
 from drivers.link import open_drive
 from profiles.axis import Axis
@@ -112,4 +113,12 @@ def test_the_loop_is_frozen_and_the_axis_is_stopped(serve: Serve, tmp_path: Path
         assert not left_energised(axis)
         process.send_signal(signal.SIGCONT)
         _, errors = process.communicate(timeout=30)
-    assert process.returncode in (4, 5), errors
+    assert process.returncode == 5, errors
+    last = errors.strip().splitlines()[-1]
+    assert last.startswith(
+        "tworelay: the guardian process stopped the axis: the loop was silent for"
+    )
+    with Journal(home()) as journal:
+        notes = RunFolder.of(journal, journal.run("last").id).result()["notes"]
+    assert notes[0] == last.removeprefix("tworelay: ").partition("; ")[0]
+    assert notes[1].startswith("guardian: ")

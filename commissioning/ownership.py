@@ -1,83 +1,56 @@
-"""One owner a drive: a lock that the system gives back when its process ends, however it ends."""
+"""One owner a bus, on the whole machine."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
-import sys
-import tempfile
+import threading
 from collections.abc import Generator
-from pathlib import Path
-from typing import IO
-from urllib.parse import unquote
 
-from drivers.link import Link, parse
+from commissioning.locks import Lock, Taken, take
+from drivers.places import buses
 from profiles.errors import Refused
 
-__all__ = ["owned"]
+__all__ = ["announce", "owned"]
 
-_BEHIND = 100  # bytes: what is locked on Windows, so that the owner's number before it can be read
+
+class _Holdings(threading.local):
+    """What this thread has, so that a job may own a bus around its steps."""
+
+    def __init__(self) -> None:
+        self.locks: dict[str, Lock] = {}
+
+
+_mine = _Holdings()
 
 
 @contextlib.contextmanager
-def owned(link_text: str) -> Generator[None]:
-    """The drive on a link for this process alone; raises Refused while another one has it."""
-    link = parse(link_text)
-    if link.scheme == "virtual":  # it lives in this process
-        yield
-        return
-    folder = Path(tempfile.gettempdir()) / "tworelay-locks"
-    name = hashlib.sha256(_place(link).encode()).hexdigest()
-    try:
-        folder.mkdir(mode=0o777, exist_ok=True)
-        descriptor = os.open(
-            folder / name, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666
-        )
-    except OSError as error:
-        raise Refused(
-            f"no lock can be made in {folder} ({error.strerror}): without it two programs could move one "
-            "axis; remove the folder, or set TMPDIR to one that can be written"
-        ) from None
-    with os.fdopen(descriptor, "r+", encoding="ascii", errors="replace") as file:
-        if not _take(file):
-            owner = file.read().strip() or "unknown"
-            raise Refused(
-                f"another tworelay (process {owner}) has the drive on {link.text}: wait for it, or end it; "
-                "'tworelay stop' works in spite of it"
-            )
-        file.truncate(0)
-        file.write(str(os.getpid()))
-        file.flush()
+def owned(link: str, doing: str) -> Generator[None]:
+    """The bus of a link for this thread alone; raises Refused while another one has it.
+
+    `doing` : what it is used for, for those who are refused
+    """
+    with contextlib.ExitStack() as stack:
+        for bus in buses(link):
+            if bus in _mine.locks:
+                continue
+            try:
+                lock = take(hashlib.sha256(bus.encode()).hexdigest()[:20], doing)
+            except Taken as taken:
+                raise Refused(
+                    f"another tworelay has the bus of {link} ({taken.owner}): wait for it, or end it; "
+                    "'tworelay stop' works in spite of it"
+                ) from None
+            _mine.locks[bus] = lock
+            stack.callback(_give_back, bus)
         yield
 
 
-def _place(link: Link) -> str:
-    """What two links to one drive have in common."""
-    address = link.options.get("unit") or link.options.get("node") or ""
-    place = unquote(link.place).rstrip("/")
-    if link.scheme == "modbus-rtu" or place.startswith("slcan/"):
-        head, _, port = (
-            place.rpartition("slcan/") if place.startswith("slcan/") else ("", "", place)
-        )
-        return f"{head}{Path(port).resolve()}"  # the whole port: it has one owner
-    return f"{link.scheme} {place} {address}"
+def announce(doing: str) -> None:
+    """Let others know what this thread uses its buses for."""
+    for lock in _mine.locks.values():
+        lock.announce(doing)
 
 
-def _take(file: IO[str]) -> bool:
-    """Lock an open file, without waiting; the system unlocks it when the process is gone."""
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            file.seek(_BEHIND)
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    finally:
-        file.seek(0)
-    return True
+def _give_back(bus: str) -> None:
+    _mine.locks.pop(bus).release()

@@ -139,6 +139,12 @@ class Drive(Protocol):
     def wait(self, seconds: float) -> None:
         """Let time pass without a command."""
 
+    def refuse_rehearsal(self) -> None:
+        """Raises PreflightRefused where the cycle must not be exchanged without an experiment."""
+
+    def rehearse(self, count: int) -> list[Exchange]:
+        """`count` cycles of the exchange with every output at zero; the drive stays de-energised."""
+
     def stop_frames(self) -> StopFrames | None:
         """What another process writes to our port to stop the drive; None: it connects by itself."""
 

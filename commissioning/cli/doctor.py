@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
 from itertools import chain
+from typing import TYPE_CHECKING
 
 import click
 
 from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Screen
+
+if TYPE_CHECKING:
+    from drivers.doctor import Finding
 
 __all__ = ["command"]
 
@@ -25,12 +30,12 @@ def command(link: str | None, as_json: bool) -> None:
 
     Only reads. Ends with exit code 4 where a problem keeps the link from working.
     """
-    from drivers.doctor import of_link, of_machine
+    from drivers.doctor import of_machine
 
     screen = Screen("-" if as_json else None, yes=True)
     findings = []
     with screen.working("looking"):
-        for finding in chain(of_machine(), of_link(link, screen.say) if link else ()):
+        for finding in chain(of_machine(), _of_link(link, screen) if link else ()):
             findings.append(finding)
             if not as_json:
                 screen.say(_MARKS[finding.level] + finding.text)
@@ -38,3 +43,12 @@ def command(link: str | None, as_json: bool) -> None:
         click.echo(json.dumps([{"level": f.level, "text": f.text} for f in findings], indent=1))
     if link and any(f.level == "problem" for f in findings):
         sys.exit(4)
+
+
+def _of_link(link: str, screen: Screen) -> Iterator[Finding]:
+    """What is found on a link that nobody else uses; raises Refused."""
+    from commissioning.ownership import owned
+    from drivers.doctor import of_link
+
+    with owned(link, "doctor"):
+        yield from of_link(link, screen.say)

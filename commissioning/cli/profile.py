@@ -97,10 +97,12 @@ def new(eds: str | None, table: str | None, drive: str | None, output: str, forc
     elif table:
         draft = draft_from_csv(Path(table))
     elif drive:
+        from commissioning.ownership import owned
         from drivers.link import stored_eds
 
         click.echo("reading the drive's own EDS (1021h); some seconds on a slow adapter", err=True)
-        draft = draft_from_stored_eds(stored_eds(drive), drive)
+        with owned(drive, "profile new"):
+            draft = draft_from_stored_eds(stored_eds(drive), drive)
     else:
         draft = _asked(target.stem)
     try:

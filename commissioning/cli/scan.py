@@ -25,11 +25,12 @@ def command(link: str, units: str, timeout: float | None, as_json: bool) -> None
     LINK is a link without node or unit: canopen://socketcan/can0, modbus-tcp://HOST,
     modbus-rtu:///dev/ttyUSB0?baudrate=57600.
     """
+    from commissioning.ownership import owned
     from drivers.scan import scan
 
     screen = Screen("-" if as_json else None, yes=True)
     asked = _range(units)
-    with screen.counting(f"scan of {link}", len(asked)) as tell:
+    with owned(link, "scan"), screen.counting(f"scan of {link}", len(asked)) as tell:
         found = scan(link, asked, timeout, tell)
     if as_json:
         rows = [

@@ -83,7 +83,7 @@ def apply(
             reason = "it measured no friction"
         raise Refused(f"run {run_id} proposes nothing: {reason}")
     axis = axis_of_run(record, folder, link)
-    with connect(axis, None, desk) as drive:
+    with connect(axis, None, desk, f"run {run_id}") as drive:
         identity = drive.identity()
         same_drive(identity, record.serial, run_id, drive.link, desk)
         none_unfinished(desk, identity.serial)
@@ -257,7 +257,7 @@ def restore(run: str | None, link: str | None, desk: Desk, *, force: bool) -> Re
         return Restored()
     axis = axis_of_run(record, folder, link)
     desk.tell(f"run {run_id}: axis '{record.axis}' on {axis.link}")
-    with connect(axis, None, desk) as drive, desk.interruption.deferred():
+    with connect(axis, None, desk, f"run {run_id}") as drive, desk.interruption.deferred():
         same_drive(drive.identity(), record.serial, run_id, drive.link, desk)
         if drive.is_energised():
             raise PreflightRefused(
@@ -288,7 +288,7 @@ def _resolve_any(desk: Desk, run: str) -> tuple[str, RunFolder]:
 
 def stop(axis: Axis, desk: Desk) -> StopReport:
     """Make safe what a dead process left energised; raises when that is not verified."""
-    with desk.interruption.deferred(), connect(axis, None, desk, to_stop=True) as drive:
+    with desk.interruption.deferred(), connect(axis, None, desk, "stop", to_stop=True) as drive:
         if not drive.profile.moves:
             raise Refused(
                 f"profile '{drive.profile.name}' has no way to stop the drive, which says: "

@@ -43,7 +43,7 @@ def in_a_run(axis: Axis, options: Options, desk: Desk, work: Work) -> dict[str, 
     """
     result = blank(axis, axis.link, None, None)
     try:
-        with connect(axis, options.cycle, desk) as drive:
+        with connect(axis, options.cycle, desk, f"a job on axis {axis.name}") as drive:
             return _run(axis, options, desk, drive, result, work)
     except TwoRelayError as error:
         result["status"] = error.status

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
-from commissioning.ownership import owned
+from commissioning.ownership import announce, owned
 from commissioning.processes import is_alive, this_process
 from drivers.drive import Drive
 from drivers.link import is_simulated, open_drive
@@ -64,7 +64,7 @@ class Desk:
 
 def begin_run(desk: Desk, drive: Drive, identity: Identity, axis: Axis, fraction: float) -> str:
     """Open a run of the journal on a connected drive; return its id."""
-    return desk.journal.begin(
+    run = desk.journal.begin(
         axis=axis.name,
         link=drive.link,
         profile=drive.profile.name,
@@ -72,6 +72,8 @@ def begin_run(desk: Desk, drive: Drive, identity: Identity, axis: Axis, fraction
         serial=identity.serial,
         context={"axis": axis.model_dump(mode="json"), "fraction": fraction, **this_process()},
     )
+    announce(f"run {run}")
+    return run
 
 
 def none_unfinished(desk: Desk, serial: str) -> None:
@@ -89,14 +91,15 @@ def none_unfinished(desk: Desk, serial: str) -> None:
 
 @contextlib.contextmanager
 def connect(
-    axis: Axis, cycle: float | None, desk: Desk, *, to_stop: bool = False
+    axis: Axis, cycle: float | None, desk: Desk, doing: str, *, to_stop: bool = False
 ) -> Generator[Drive]:
     """The drive of `axis`; closed, and stopped if need be, on every way out.
 
-    Raises Refused while another process has it; `to_stop` does not ask.
+    `doing` : what for, for those who are refused meanwhile. Raises Refused while another process has its
+    bus; `to_stop` does not ask.
     """
     _allowed_here(axis)
-    lock = owned(axis.link) if axis.link and not to_stop else contextlib.nullcontext()
+    lock = owned(axis.link, doing) if axis.link and not to_stop else contextlib.nullcontext()
     with lock:
         drive = open_drive(axis, cycle=cycle, trace=desk.trace, to_stop=to_stop)
         try:

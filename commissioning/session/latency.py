@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from commissioning.experiments.design import SHORT
 from commissioning.identification.modulating import estimate
 from commissioning.session.armed import in_a_run
-from commissioning.session.desk import Desk, Options
+from commissioning.session.desk import Desk, Options, connect
 from commissioning.session.measurement import Measurement
 from commissioning.session.result import estimate_json
-from drivers.link import open_drive
 from profiles.axis import Axis
 from profiles.errors import MeasurementRejected, UsageError
 
@@ -82,10 +81,9 @@ def latency(axis: Axis, count: int, desk: Desk) -> Latency:
         raise UsageError("latency: virtual:// has no link to be late; serve the axis")
     if axis.link is not None and "clock=step" in axis.link:
         raise UsageError("latency: a drive with clock=step has no time; serve it with --clock wall")
-    drive = open_drive(axis, cycle=_FLAT_OUT)
-    power = drive.profile.power
-    status = "statusword" if power is None else power.enabled.parameter
-    try:
+    with connect(axis, _FLAT_OUT, desk, "latency") as drive:
+        power = drive.profile.power
+        status = "statusword" if power is None else power.enabled.parameter
         drive.refuse_rehearsal()
         desk.tell(f"{count} reads of one parameter")
         service = []
@@ -95,16 +93,11 @@ def latency(axis: Axis, count: int, desk: Desk) -> Latency:
             service.append(perf_counter() - begin)
         desk.tell(f"{count} cycles, as fast as they go; the drive stays de-energised")
         times = np.array([e.time for e in drive.rehearse(count + 1)])
-    finally:
-        drive.close()
     exchange = np.asarray(np.diff(times), np.float64)
     cycle = ceil(_SPARE * float(np.quantile(exchange, 0.99)) / _GRID) * _GRID
-    drive = open_drive(axis, cycle=cycle)
-    try:
+    with connect(axis, cycle, desk, "latency") as drive:
         desk.tell(f"{count} cycles of {cycle * 1000:g} ms")
         kept = drive.rehearse(count)
-    finally:
-        drive.close()
     return Latency(
         np.array(service), exchange, cycle, np.array([e.lateness for e in kept]),
         sum(e.missed for e in kept),

@@ -29,7 +29,7 @@ def for_drive(result: dict[str, Any], axis: Axis, fraction: float, desk: Desk) -
             f"'{axis.name}' in {axis.position_unit} and {axis.effort_unit}: say its mechanics in an axis "
             "file"
         )
-    with connect(axis, None, desk) as drive:
+    with connect(axis, None, desk, "analyze") as drive:
         identity = drive.identity()
         desk.tell(f"drive: {identity}; profile {drive.profile.name} {drive.profile.version}")
         known, reasons = _known(result), result["quality"]["reasons"]

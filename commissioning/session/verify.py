@@ -70,7 +70,7 @@ def verify(run: str, link: str | None, desk: Desk, limits: dict[str, Any]) -> di
     _check(result, run_id)
     axis = axis_of_run(record, folder, link)
     options = _options(result, limits)
-    with connect(axis, options.cycle, desk) as drive:
+    with connect(axis, options.cycle, desk, f"run {run_id}") as drive:
         _look(drive, axis, options, desk, record)
         settings = Settings(desk.journal, run_id, drive)
         room = choose_limits(drive, axis, options)

@@ -398,7 +398,9 @@ def test_a_drive_has_one_owner_and_a_dead_one_is_none(
         refused = tworelay(
             "identify", link, *TRAVEL, environment={"TWORELAY_HOME": str(tmp_path / "other")}
         )
-        one_line(refused, 3, f"another tworelay (process {process.pid}) has the drive on {link}")
+        one_line(
+            refused, 3, f"another tworelay has the bus of {link} (process {process.pid}, user "
+        )
         process.kill()
         process.wait(10)
     stopped_by_its_watchdog(link)

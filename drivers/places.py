@@ -1,0 +1,86 @@
+"""Which bus a LINK leads to, whatever it is called: what two programs must not use at once."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import socket
+import stat
+import sys
+from ipaddress import ip_address
+from pathlib import Path
+from urllib.parse import unquote
+
+from drivers.link import Link, parse
+
+__all__ = ["buses"]
+
+_WINDOWS_PORT = re.compile(r"(?:\\\\\.\\)?(com\d+)", re.IGNORECASE)
+_PORTS = {"modbus-tcp": "502", "modbus-rtu-tcp": "502", "modbus-tls": "802"}
+
+
+def buses(text: str) -> tuple[str, ...]:
+    """Names of the bus of a LINK, which two links to one bus share at least one of; none for virtual://.
+
+    A host has as many as addresses: Modbus TCP in all its kinds is one bus on one host and port.
+    """
+    link = parse(text)
+    if link.scheme == "virtual":  # it lives in this process
+        return ()
+    if link.scheme == "modbus-rtu":
+        return (_serial(unquote(link.place)),)
+    if link.scheme == "canopen":
+        return _can(link)
+    host, colon, port = link.place.rstrip("/").rpartition(":")
+    if not colon:
+        host, port = port, _PORTS[link.scheme]
+    return _at(host, port)
+
+
+def _can(link: Link) -> tuple[str, ...]:
+    interface, _, channel = link.place.rstrip("/").partition("/")
+    channel = unquote(channel)
+    if interface == "slcan":
+        return (_serial(channel.partition("@")[0]),)  # python-can: PORT@BAUDRATE
+    if interface == "socketcand":
+        place, _, channel = channel.partition("/")
+        host, _, port = place.rpartition(":")
+        return tuple(f"{name} {channel}" for name in _at(host, port))
+    if interface == "virtual":  # python-can's lives in one process
+        return (f"can {interface} {channel} {os.getpid()}",)
+    return (f"can {interface} {channel}",)
+
+
+def _serial(port: str) -> str:
+    """A serial port by its device, whatever file leads to it."""
+    windows = _WINDOWS_PORT.fullmatch(port.strip("/"))
+    if windows is not None:
+        return f"serial {windows[1].upper()}"
+    if sys.platform != "win32":
+        with contextlib.suppress(OSError):  # not there, yet
+            found = Path(port).stat()
+            if stat.S_ISCHR(found.st_mode):
+                return f"serial {os.major(found.st_rdev)}:{os.minor(found.st_rdev)}"
+    return f"serial {Path(port).resolve()}"
+
+
+def _at(host: str, port: str) -> tuple[str, ...]:
+    """A port of a host by each of its addresses; by its name where it has none."""
+    bare = host.strip("[]").rstrip(".").lower()
+    try:
+        found = {
+            str(info[4][0]) for info in socket.getaddrinfo(bare, None, type=socket.SOCK_STREAM)
+        }
+    except (OSError, UnicodeError):
+        return (f"tcp {bare} {port}",)
+    return tuple(sorted(f"tcp {_plain(address)} {port}" for address in found))
+
+
+def _plain(address: str) -> str:
+    """One name of an address; this computer, asked by 'any', is loopback."""
+    known = ip_address(address)
+    known = getattr(known, "ipv4_mapped", None) or known
+    if known.is_unspecified:
+        return "127.0.0.1" if known.version == 4 else "::1"
+    return str(known)

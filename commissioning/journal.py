@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from profiles.errors import JournalError, UnknownName, UsageError
 
-__all__ = ["Intent", "Journal", "RunRecord"]
+__all__ = ["RESTORED", "STORED", "STORING", "Intent", "Journal", "RunRecord"]
 
 Kind = Literal["experiment", "compensation", "gain"]
 State = Literal["intended", "verified", "restored"]
@@ -25,7 +25,7 @@ State = Literal["intended", "verified", "restored"]
 _TRIES, _PAUSE = 200, 0.05  # s: until another process has opened the file
 _SCHEMA_VERSION = 1
 _RUNS_A_SECOND = 1000  # of one axis, at most
-_STORING = "storing"
+STORING, STORED, RESTORED = "storing", "stored", "restored and stored"
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS runs (
     id TEXT PRIMARY KEY, created REAL NOT NULL, axis TEXT NOT NULL, link TEXT NOT NULL,
@@ -190,24 +190,29 @@ class Journal:
                 "INSERT INTO events(run, at, text) VALUES (?,?,?)", (run, time.time(), text)
             )
 
-    def noted(self, run: str, text: str) -> bool:
-        """Whether the last event of the run is `text`."""
+    def memory(self, run: str) -> str:
+        """What the run did last to the drive's non-volatile memory.
+
+        STORED: the run's values are in it; RESTORED: those from before; STORING: it was cut off while it
+        stored; '': nothing.
+        """
+        texts = (STORING, STORED, RESTORED)
         with self._errors():
             row = self._db.execute(
-                "SELECT text FROM events WHERE run=? ORDER BY seq DESC LIMIT 1", (run,)
+                "SELECT text FROM events WHERE run=? AND text IN (?,?,?) ORDER BY seq DESC LIMIT 1",
+                (run, *texts),
             ).fetchone()
-        return row is not None and row["text"] == text
+        return "" if row is None else str(row["text"])
 
-    def storing(self, run: str) -> int:
-        """Say that the drive of `run` will store; return how often it has before, by this journal."""
+    def stores(self, run: str) -> int:
+        """How often the drive of `run` has stored, by this journal."""
         with self._errors():
             row = self._db.execute(
                 "SELECT COUNT(*) FROM events JOIN runs ON events.run = runs.id "
-                "JOIN runs AS this ON this.id=? WHERE events.text=? AND runs.serial = this.serial "
+                "JOIN runs AS this ON this.id=? WHERE events.text IN (?,?) AND runs.serial = this.serial "
                 "AND (runs.serial NOT IN ('', '0x00000000') OR runs.link = this.link)",
-                (run, _STORING),
+                (run, STORED, RESTORED),
             ).fetchone()
-        self.note(run, _STORING)
         return int(row[0])
 
     # -- intents ---------------------------------------------------------------------------------
@@ -307,6 +312,7 @@ class Journal:
                 (str(i["kind"]), str(i["parameter"]), int(i["old"]), int(i["new"]), str(i["state"]))
                 for i in tree["intents"]
             ]
+            events = [(float(e["at"]), str(e["text"])) for e in tree.get("events", ())]
             if any(abs(value) >= 2**63 for row in rows for value in row[2:4]):
                 raise ValueError("a value is too large")
             fields = (
@@ -326,6 +332,10 @@ class Journal:
                     "INSERT INTO intents(run, kind, parameter, old, new, state, at) "
                     "VALUES (?,?,?,?,?,?,?)",
                     [(record.id, *row, time.time()) for row in rows],
+                )
+                self._db.executemany(
+                    "INSERT INTO events(run, at, text) VALUES (?,?,?)",
+                    [(record.id, *event) for event in events],
                 )
                 self._db.execute("COMMIT")
         return record.id

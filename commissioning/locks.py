@@ -125,7 +125,7 @@ if sys.platform == "linux":
     def _owner_of(name: str) -> Owner:
         """What the owner of a socket says of itself."""
         try:
-            names = Path("/proc/net/unix").read_text("ascii", "replace")
+            names = Path("/proc/net/unix").read_text("utf-8", "replace")
         except OSError:
             names = ""
         found = re.search(rf"@{re.escape(name)}\.(\d+)\.(\d+)\.(\d+)\.(\S*)", names)

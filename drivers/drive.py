@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -223,6 +224,9 @@ class Bus(Protocol):
 
     def now(self) -> float:
         """Time of the cycle's clock, s."""
+
+    def answering_within(self, seconds: float) -> AbstractContextManager[None]:
+        """Requests meanwhile may take so long to be answered, if that is more than usual."""
 
     def other_master(self) -> str:
         """What another master sent on the same bus, or ''."""

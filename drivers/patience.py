@@ -10,6 +10,7 @@ from profiles.errors import AccessDenied
 __all__ = ["patiently"]
 
 T = TypeVar("T")
+_ROUNDING = 1e-6  # s
 
 
 def patiently(action: Callable[[], T], patience: float, wait: Callable[[], float]) -> T:
@@ -24,7 +25,7 @@ def patiently(action: Callable[[], T], patience: float, wait: Callable[[], float
         except AccessDenied as error:
             if not error.busy:
                 raise
-            if waited >= patience:
+            if waited > patience - _ROUNDING:
                 error.args = (
                     f"{error}; it was asked again for {waited:.3g} s ([link] patience in the profile)",
                 )

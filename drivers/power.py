@@ -9,7 +9,7 @@ from drivers import cia402
 from drivers.drive import Bus
 from drivers.patience import patiently
 from drivers.sample import Status
-from profiles.errors import DriveFault, PreflightRefused, WriteFailed
+from profiles.errors import DriveFault, PreflightRefused, WriteDenied, WriteFailed
 from profiles.schema import Condition, Power, Profile, Step
 
 __all__ = ["Cia402Power", "PowerStage", "ProcedurePower", "perform", "power_of"]
@@ -68,7 +68,10 @@ def perform(
     for step in steps:
         if step.write is not None and step.raw is not None:
             address, raw = profile.parameters[step.write].address, step.raw
-            patiently(lambda a=address, r=raw: bus.write(a, r), patience, wait)  # type: ignore[misc]
+            try:
+                patiently(lambda a=address, r=raw: bus.write(a, r), patience, wait)  # type: ignore[misc]
+            except WriteDenied as error:
+                raise WriteDenied(f"{what}: '{step.write}': {error}", busy=error.busy) from None
             continue
         name = step.until or ""
         address = profile.parameters[name].address

@@ -17,6 +17,7 @@ from profiles.errors import (
     AccessDenied,
     PreflightRefused,
     UnknownName,
+    WriteDenied,
     WriteFailed,
 )
 from profiles.schema import (
@@ -162,7 +163,10 @@ class ProfiledDrive:
         parameter = self._parameter(name)
         if parameter.access is Access.WRITE_ONLY:
             raise WriteFailed(f"'{name}' ({parameter.address}) can only be written")
-        return self._patiently(lambda: self._bus.read(parameter.address))
+        try:
+            return self._patiently(lambda: self._bus.read(parameter.address))
+        except AccessDenied as error:
+            raise AccessDenied(f"'{name}': {error}", busy=error.busy) from None
 
     def _patiently(self, action: Callable[[], T]) -> T:
         """What `action` gives, asked again while the drive says that it is busy."""
@@ -193,7 +197,10 @@ class ProfiledDrive:
         low, high = parameter.range
         if not parameter.allows(raw):
             raise WriteFailed(f"'{name}': raw value {raw} is not allowed ({low:g}…{high:g})")
-        self._patiently(lambda: self._bus.write(parameter.address, raw))
+        try:
+            self._patiently(lambda: self._bus.write(parameter.address, raw))
+        except WriteDenied as error:
+            raise WriteDenied(f"'{name}': {error}", busy=error.busy) from None
         self._verify(name, parameter, raw)
 
     def _verify(self, name: str, parameter: Parameter, raw: int) -> None:
@@ -216,7 +223,10 @@ class ProfiledDrive:
         if self.is_energised():
             raise WriteFailed("nothing is stored while the drive is enabled: disable it first")
         steps = self.profile.store.steps
-        perform(self._bus, self.profile, steps, "store", lambda: self._pause(_POLL))
+        with self._bus.answering_within(
+            self.profile.link.patience
+        ):  # some are silent while they store
+            perform(self._bus, self.profile, steps, "store", lambda: self._pause(_POLL))
 
     def watchdog_settings(self) -> dict[str, int]:
         """Raw value of each parameter that arms the drive-side watchdog; empty: it has none."""

@@ -550,6 +550,7 @@ class Compensation(_Strict):
     The terms name parameters. `negative_sign` is the sign with which the drive stores the
     compensation of the negative direction. `acts_in` lists the modes in which it has an effect. `host`
     names the torque offset that a master writes in every cycle (60B2h); tworelay never leaves one behind.
+    `acts_stored`: a value has no effect until it is stored, so that it cannot be proved before.
     """
 
     law: CompensationLaw
@@ -564,6 +565,7 @@ class Compensation(_Strict):
     host: str | None = None
     negative_sign: Literal[-1, 1] = 1
     acts_in: tuple[Mode, ...] = (Mode.POSITION,)
+    acts_stored: bool = False
     note: str = ""  # what a technician has to know before it is written
 
     @property

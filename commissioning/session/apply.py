@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from commissioning.journal import Kind, RunRecord
+from commissioning.journal import RESTORED, STORED, STORING, Kind, RunRecord
 from commissioning.runs import RunFolder, resolve
 from commissioning.session.desk import Desk, connect, none_unfinished, same_drive
 from commissioning.settings import Restored, Settings, put_back, settle
@@ -24,10 +24,7 @@ from profiles.errors import (
 )
 from profiles.schema import Profile, Protection, Trust, Unit
 
-__all__ = ["STORED", "apply", "axis_of_run", "restore", "stop", "store", "unverified"]
-
-
-STORED = "stored"
+__all__ = ["apply", "axis_of_run", "leave_as_found", "restore", "stop", "store", "unverified"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +62,13 @@ def apply(
     desk: Desk,
     show: Callable[[list[dict[str, Any]]], None],
     gains: str | None = None,
+    *,
+    prove_first: bool = False,
 ) -> dict[str, Any]:
     """Write the proposal of `run` to its drive, read back, store; return the result JSON.
 
     `show` gets the proposal with the values that are in the drive now. `gains`: rule whose gains of the
-    drive's own loops are written, too.
+    drive's own loops are written, too. `prove_first`: nothing is stored, unless the values act only then.
     """
     run_id, folder = resolve(desk.journal, run)
     record, result = desk.journal.run(run_id), folder.result()
@@ -116,15 +115,16 @@ def apply(
             old = drive.scaling.to_si(parameter, now.old)
             present.append({**item, "old_raw": now.old, "old": old})
         show(present)
-        stored = drive.profile.store is None or desk.journal.noted(run_id, STORED)
+        stores, then = _storing(drive.profile, prove_first=prove_first)
+        stored = not stores or desk.journal.memory(run_id) == STORED
         names = [w.parameter for w in wanted]
         unverified(drive.profile, names, constant_known=axis.torque_constant is not None)
         if drive.profile.compensation.note:
             desk.tell(drive.profile.compensation.note)
         if any(w.old != w.new for w in wanted) or not stored:
-            desk.agree(f"These values will be WRITTEN to axis '{axis.name}' and stored.", axis.name)
+            desk.agree(f"These values will be WRITTEN to axis '{axis.name}' {then}.", axis.name)
             with desk.interruption.deferred():
-                _write(drive, desk, run_id, wanted)
+                _write(drive, desk, run_id, wanted, stores=stores)
         else:
             desk.tell("the drive has these values already")
         for item in [*result["compensation"], *([tuned] if tuned else [])]:
@@ -132,6 +132,17 @@ def apply(
         folder.save(result, None, None)
         desk.interruption.check()
     return result
+
+
+def _storing(profile: Profile, *, prove_first: bool) -> tuple[bool, str]:
+    """Whether a store follows the writes, and what the user is told."""
+    if profile.store is None:
+        return not prove_first, "and are lost at power-off: the profile has no store procedure"
+    if not prove_first:
+        return True, "and stored"
+    if profile.compensation.acts_stored:
+        return True, "and stored before they are proved: in this drive they act only then"
+    return False, "in its RAM, and stored once they are proved"
 
 
 def unverified(profile: Profile, names: list[str], *, constant_known: bool) -> None:
@@ -184,8 +195,8 @@ def _gain_changes(tuned: dict[str, Any]) -> list[dict[str, Any]]:
     return [{**item, "why": f"gain by {tuned['rule']}"} for item in tuned["parameters"]]
 
 
-def _write(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted]) -> None:
-    """RAM first, each read back; then store once; then read everything again."""
+def _write(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted], *, stores: bool) -> None:
+    """RAM first, each read back; then store once, other masters no longer locked out; then read again."""
     settings = Settings(desk.journal, run_id, drive)
     try:
         with settings.exclusive_access():
@@ -194,6 +205,7 @@ def _write(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted]) -> None
                     desk.interruption.check()
                 if settings.write(item.kind, item.parameter, item.new):
                     desk.tell(f"{item.parameter}: {item.old} → {item.new}, read back")
+        if stores:
             store(drive, desk, run_id, {item.parameter: item.new for item in wanted})
     except TwoRelayError as error:
         text = (
@@ -204,40 +216,47 @@ def _write(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted]) -> None
         raise
 
 
-def store(drive: Drive, desk: Desk, run_id: str, wanted: dict[str, int]) -> None:
-    """Store, and see that the raw values `wanted` are still there; raises WriteFailed."""
-    if drive.profile.store is None:
+def store(
+    drive: Drive, desk: Desk, run_id: str, wanted: dict[str, int], text: str = STORED
+) -> None:
+    """Store, and see that the raw values `wanted` are still there; raises WriteFailed.
+
+    `text` : STORED, or RESTORED where they are those from before the run
+    """
+    procedure = drive.profile.store
+    if procedure is None:
         desk.tell(
             f"profile '{drive.profile.name}' has no store procedure: the values are lost at power-off"
         )
         return
-    count = _store(drive, desk, run_id, STORED)
-    for name, raw in wanted.items():
-        there = drive.read_raw(name)
-        if there != raw:
-            raise WriteFailed(f"'{name}' reads {there} after the store, not {raw}")
-    desk.tell(
-        f"stored in the drive's non-volatile memory, read back again (store {count} of this drive from here; "
-        f"such a memory takes about {drive.profile.store.endurance})"
-    )
-
-
-def _store(drive: Drive, desk: Desk, run_id: str, text: str) -> int:
-    """Store, and note it as `text`; returns how often this drive has stored; raises WriteFailed."""
-    assert drive.profile.store is not None
-    before, most = desk.journal.storing(run_id), drive.profile.store.endurance
+    before, most = desk.journal.stores(run_id), procedure.endurance
     if before >= most:
         raise WriteFailed(
             f"this drive has stored {before} times from here, and its memory takes about {most}: the values "
             "are in effect, and not stored; store them with the maker's software if its memory is new"
         )
-    drive.store()
+    desk.journal.note(run_id, STORING)  # should this be cut off, `restore` must store
+    try:
+        drive.store()
+    except TwoRelayError as error:
+        error.args = (f"{error}; in effect, and not stored: {', '.join(wanted)}",)
+        raise
     desk.journal.note(run_id, text)
-    return before + 1
+    for name, raw in wanted.items():
+        there = drive.read_raw(name)
+        if there != raw:
+            raise WriteFailed(f"'{name}' reads {there} after the store, not {raw}")
+    desk.tell(
+        "stored in the drive's non-volatile memory, read back again (store "
+        f"{before + 1} of this drive from here; such a memory takes about {most})"
+    )
 
 
 def restore(run: str | None, link: str | None, desk: Desk, *, force: bool) -> Restored:
-    """Put back every parameter that `run` (default: the latest with any) changed, and store."""
+    """Put back every parameter that `run` (default: the latest with any) changed.
+
+    Stores where the run has stored, and nothing unless everything is back.
+    """
     if run is None:
         waiting = desk.journal.open_runs()
         if not waiting:
@@ -252,28 +271,61 @@ def restore(run: str | None, link: str | None, desk: Desk, *, force: bool) -> Re
     else:
         run_id, folder = _resolve_any(desk, run)
     record = desk.journal.run(run_id)
-    intents = desk.journal.intents(run_id, open_only=True)
-    if not intents:
+    if not desk.journal.intents(run_id, open_only=True):
         return Restored()
     axis = axis_of_run(record, folder, link)
     desk.tell(f"run {run_id}: axis '{record.axis}' on {axis.link}")
     with connect(axis, None, desk, f"run {run_id}") as drive, desk.interruption.deferred():
         same_drive(drive.identity(), record.serial, run_id, drive.link, desk)
-        if drive.is_energised():
-            raise PreflightRefused(
-                "the drive is enabled: 'tworelay stop' makes it safe, then restore"
-            )
-        settings = Settings(desk.journal, run_id, drive)
-        with settings.exclusive_access():
-            outcome = put_back(drive, intents, force=force)
-            written = any(intent.kind != "experiment" for intent in intents)
-            if written and drive.profile.store is not None:
-                # until then the old values are not safe, so the intents stay open
-                _store(drive, desk, run_id, "restored and stored")
-            settle(desk.journal, intents, outcome)
+        return _put_all_back(drive, desk, run_id, force=force)
+
+
+def _put_all_back(drive: Drive, desk: Desk, run_id: str, *, force: bool) -> Restored:
+    """Everything that a run changed in the connected drive; raises WriteFailed, PreflightRefused."""
+    if drive.is_energised():
+        raise PreflightRefused("the drive is enabled: 'tworelay stop' makes it safe, then restore")
+    intents = desk.journal.intents(run_id, open_only=True)
+    settings = Settings(desk.journal, run_id, drive)
+    with settings.exclusive_access():
+        outcome = put_back(drive, intents, force=force)
+    lasting = [intent for intent in intents if intent.kind != "experiment"]
+    # until they are all back, and stored where the run has stored, those for good stay open
+    settle(desk.journal, [i for i in intents if i.kind == "experiment"], outcome)
     if not outcome.complete:
+        unstored = "; nothing was stored" if lasting else ""
+        raise WriteFailed(f"restore of run {run_id} is incomplete: {outcome}{unstored}")
+    if lasting and drive.profile.store is not None and desk.journal.memory(run_id) in _OURS:
+        old = {intent.parameter: intent.old for intent in reversed(lasting)}
+        try:
+            store(drive, desk, run_id, old, RESTORED)
+        except TwoRelayError as error:
+            error.args = (f"{error}; 'tworelay restore {run_id}' tries again",)
+            raise
+    settle(desk.journal, lasting, outcome)
+    if outcome.failed:  # to say so in the journal
         raise WriteFailed(f"restore of run {run_id} is incomplete: {outcome}")
     return outcome
+
+
+_OURS = STORED, STORING  # what may be in a non-volatile memory
+
+
+def leave_as_found(run: str, desk: Desk) -> str:
+    """Put back all that `run` changed, after it came to nothing; never raises, and says what it reached."""
+    intents = desk.journal.intents(run, open_only=True)
+    if not intents:
+        return ""
+    record, folder = desk.journal.run(run), RunFolder.of(desk.journal, run)
+    try:
+        with connect(axis_of_run(record, folder, None), None, desk, f"run {run}") as drive:
+            found = drive.identity()
+            if found.serial != record.serial:
+                raise LinkError(f"another drive is on the link, with serial {found.serial}")
+            outcome = _put_all_back(drive, desk, run, force=False)
+    except TwoRelayError as error:
+        left = dict.fromkeys(i.parameter for i in desk.journal.intents(run, open_only=True))
+        return f"NOT put back: {', '.join(left)} ({error}); 'tworelay restore {run}' puts the old values back"
+    return f"the drive is as it was found ({outcome})"
 
 
 def _resolve_any(desk: Desk, run: str) -> tuple[str, RunFolder]:

@@ -10,10 +10,11 @@ import numpy as np
 from commissioning.experiments.tracking import TURNS, TrackingPath, TrackingSamples, path_for
 from commissioning.guardian import guarded
 from commissioning.identification.tracking import TrackingError, at_rest, creeping, reversal_error
-from commissioning.journal import RunRecord
+from commissioning.journal import RESTORED, STORED, STORING, RunRecord
 from commissioning.runner import Recorder
 from commissioning.runs import resolve
-from commissioning.session.apply import STORED, axis_of_run, store, unverified
+from commissioning.session.apply import axis_of_run, store, unverified
+from commissioning.session.armed import noted
 from commissioning.session.desk import Desk, Options, connect, none_unfinished, same_drive
 from commissioning.session.measurement import Measurement
 from commissioning.session.preflight import check_watchdog, choose_limits, look
@@ -22,9 +23,9 @@ from drivers.drive import Drive
 from drivers.sample import Sample
 from profiles.axis import Axis
 from profiles.errors import PreflightRefused, Refused, TwoRelayError, WriteFailed
-from profiles.schema import Mode
+from profiles.schema import Mode, Profile
 
-__all__ = ["verify"]
+__all__ = ["provable", "verify"]
 
 _STEPS = 0.5, 0.7  # of the friction; then the fraction of the run
 _WHOLE = "offset", "points", "speed"  # terms of a law that are no friction
@@ -53,15 +54,19 @@ class _Step:
         }  # fmt: skip
 
 
-def verify(run: str, link: str | None, desk: Desk, limits: dict[str, Any]) -> dict[str, Any]:
+def verify(
+    run: str, link: str | None, desk: Desk, limits: dict[str, Any], *, unproved: bool = False
+) -> dict[str, Any]:
     """Measure without and with the compensation of `run` and leave the best in the drive.
 
-    `limits`: options by name, where they are to be others than those of the run. Returns the result JSON.
+    `limits`: options by name, where they are to be others than those of the run. `unproved`: what is in the
+    drive was written for this proof only, and whoever did so takes it back should this fail. Returns the
+    result JSON.
 
     Raises
     ------
     WriteFailed
-        No step helps; the values from before the run are in the drive, and stored.
+        No step helps; the values from before the run are in the drive, and in its memory.
     TwoRelayError
         Anything else; the drive has the values that it had when this began, or the message says what it has.
     """
@@ -77,7 +82,12 @@ def verify(run: str, link: str | None, desk: Desk, limits: dict[str, Any]) -> di
         with guarded(drive, axis, folder.profile_path(), run_id, desk.journal.folder) as guardian:
             recorder = Recorder(on_phase=desk.tell)
             job = Measurement(axis, options, desk, drive, room, recorder, settings, guardian)
-            steps, kept = _with_steps(job, result)
+            try:
+                steps, kept = _with_steps(job, result, unproved=unproved)
+            finally:
+                if told := noted(guardian):
+                    result.setdefault("notes", []).extend(told)
+                    folder.save(result, None, None)
     unit = axis.position_unit
     result["verification"] = {
         "unit": unit,
@@ -126,17 +136,22 @@ def _options(result: dict[str, Any], limits: dict[str, Any]) -> Options:
     return Options(**{**named, **given})
 
 
+def provable(profile: Profile) -> None:
+    """Raises PreflightRefused where the compensation cannot be seen at work by tworelay."""
+    if Mode.POSITION not in profile.compensation.acts_in or Mode.POSITION not in profile.modes:
+        raise PreflightRefused(
+            f"profile '{profile.name}' has no position mode in which its compensation acts, so it "
+            "cannot be seen at work here: watch the following error in the machine's own controller"
+        )
+
+
 def _look(drive: Drive, axis: Axis, options: Options, desk: Desk, record: RunRecord) -> None:
     """Everything that is looked at before the axis may move."""
     identity = drive.identity()
     same_drive(identity, record.serial, record.id, drive.link, desk)
     none_unfinished(desk, identity.serial)
+    provable(drive.profile)
     law = drive.profile.compensation
-    if Mode.POSITION not in law.acts_in or Mode.POSITION not in drive.profile.modes:
-        raise PreflightRefused(
-            f"profile '{drive.profile.name}' has no position mode in which its compensation acts, so it "
-            "cannot be seen at work here: watch the following error in the machine's own controller"
-        )
     unverified(
         drive.profile, list(law.terms.values()), constant_known=axis.torque_constant is not None
     )
@@ -153,22 +168,32 @@ def _look(drive: Drive, axis: Axis, options: Options, desk: Desk, record: RunRec
     look(drive, axis)
 
 
-def _with_steps(job: Measurement, result: dict[str, Any]) -> tuple[list[_Step], _Step | None]:
+def _with_steps(
+    job: Measurement, result: dict[str, Any], *, unproved: bool
+) -> tuple[list[_Step], _Step | None]:
     """The steps in their order, and the one that stays."""
-    drive, desk = job.drive, job.desk
+    drive, journal, run = job.drive, job.desk.journal, job.settings.run
     names = [item["parameter"] for item in result["compensation"]]
     was = {name: drive.read_raw(name) for name in names}
     try:
         steps, kept = job.within_settings(lambda: _raise(job, result))
         old = {item["parameter"]: int(item["old_raw"]) for item in result["compensation"]}
         final = old if kept is None else kept.raw
-        # the experiment's settings are back, its lock on other masters among them
-        with desk.interruption.deferred(), job.settings.exclusive_access():
-            _write(job, final)
-            if final != was or not desk.journal.noted(job.settings.run, STORED):
-                store(drive, desk, job.settings.run, final)
+        # the experiment's settings are back, and are not stored with the rest
+        with job.desk.interruption.deferred():
+            with job.settings.exclusive_access():
+                _write(job, final)
+            memory = journal.memory(run)
+            if kept is not None and (final != was or memory != STORED):
+                store(drive, job.desk, run, final)
+            elif kept is None and memory in (STORED, STORING):
+                store(drive, job.desk, run, final, RESTORED)
+            if kept is None:
+                done = [i.seq for i in journal.intents(run, open_only=True) if i.parameter in final]
+                journal.settle(done, "restored")
     except TwoRelayError as error:
-        _go_back(job, was, error)
+        if not unproved:
+            _go_back(job, was, error)
         raise
     return steps, kept
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 import struct
+from contextlib import AbstractContextManager
 from itertools import combinations
 from statistics import median
 from time import perf_counter
@@ -411,6 +412,10 @@ class CanopenBus:
         if self._running and self.in_real_time:
             self._wire.drain()
             self._supervise()
+
+    def answering_within(self, seconds: float) -> AbstractContextManager[None]:
+        """Requests meanwhile may take so long to be answered, if that is more than usual."""
+        return self._wire.answering_within(seconds)
 
     def now(self) -> float:
         """Time of the cycle's clock, s."""

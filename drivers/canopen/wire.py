@@ -13,7 +13,7 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from typing import Any
 
 import can
@@ -451,6 +451,16 @@ class CanWire:
             ) from None
         finally:
             self._sdo.about = b""
+
+    @contextlib.contextmanager
+    def answering_within(self, seconds: float) -> Generator[None]:
+        """SDO requests may meanwhile take so long, if that is more than usual."""
+        usual = self._sdo.RESPONSE_TIMEOUT
+        self._sdo.RESPONSE_TIMEOUT = max(usual, seconds)
+        try:
+            yield
+        finally:
+            self._sdo.RESPONSE_TIMEOUT = usual
 
     def nmt(self, command: int) -> None:
         """Send an NMT command to the node."""

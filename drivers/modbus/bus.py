@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from time import sleep
 
 from drivers.drive import Exchange
@@ -238,6 +239,10 @@ class ModbusBus:
         if self._pace.stepping:
             set_simulation(self.write, self._profile, "simulation_advance", seconds, self._is_twin)
         self._pace.pass_time(seconds)
+
+    def answering_within(self, seconds: float) -> AbstractContextManager[None]:
+        """Requests meanwhile may take so long to be answered, if that is more than usual."""
+        return self._client.answering_within(seconds)
 
     def now(self) -> float:
         """Time of the cycle's clock, s."""

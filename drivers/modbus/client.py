@@ -6,7 +6,7 @@ import contextlib
 import logging
 import socket
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from typing import Any
 
 from pymodbus import FramerType
@@ -216,6 +216,16 @@ class Client:
         """
         with contextlib.suppress(NoAnswer):
             self.write(function, address, words, POST_ANSWER)
+
+    @contextlib.contextmanager
+    def answering_within(self, seconds: float) -> Generator[None]:
+        """Requests outside the cycle may meanwhile take so long, if that is more than usual."""
+        usual = self._timeout
+        self._timeout = max(usual, seconds)
+        try:
+            yield
+        finally:
+            self._timeout = usual
 
     @property
     def serial(self) -> bool:

@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import pytest
 
-from commissioning.journal import Journal
+from commissioning.journal import RESTORED, STORED, STORING, Journal
 from commissioning.settings import Settings, put_back, settle
 from drivers.drive import Drive
 from drivers.link import axis_of, open_drive
@@ -176,7 +176,9 @@ def test_stores_are_counted_for_each_drive(tmp_path: Path) -> None:
             )
             for serial in ("0x1", "0x2")
         )
-        assert [journal.storing(run) for run in (mine, other, mine, mine)] == [0, 0, 1, 2]
+        assert stored(journal, mine, other, mine, mine) == [1, 1, 2, 3]
+        journal.note(mine, STORING)
+        assert journal.stores(mine) == 3, "it is counted when it was done"
 
 
 # -- what only shows when something is odd --------------------------------------------------------------
@@ -333,15 +335,35 @@ def test_a_journal_that_wrote_nothing_has_no_last_writer(journal: Journal) -> No
     assert journal.open_runs() == []
 
 
-def test_the_last_event_of_a_run_is_known(journal: Journal) -> None:
+def test_what_a_run_did_last_to_the_memory_is_known(journal: Journal) -> None:
     run, other = begin(journal), begin(journal)
-    assert not journal.noted(run, "a")
-    journal.note(run, "a")
-    assert journal.noted(run, "a")
-    assert not journal.noted(other, "a")
-    journal.note(run, "b")
-    assert not journal.noted(run, "a")
-    assert [e["text"] for e in journal.export(run)["events"]] == ["a", "b"]
+    for text, memory in (
+        ("begun", ""), (STORING, STORING), ("guardian: the loop has died", STORING), (STORED, STORED),
+        ("anything", STORED), (STORING, STORING), (RESTORED, RESTORED),
+    ):  # fmt: skip
+        journal.note(run, text)
+        assert journal.memory(run) == memory
+    assert journal.memory(other) == ""
+
+
+def test_what_a_run_did_to_the_memory_moves_with_it(journal: Journal, tmp_path: Path) -> None:
+    """Else `restore` on another machine would leave its values in a memory."""
+    run = begin(journal)
+    journal.note(run, STORING)
+    journal.note(run, STORED)
+    with Journal(tmp_path / "another") as other:
+        other.adopt(journal.export(run), "x")
+        assert other.memory(run) == STORED
+        assert other.export(run)["events"] == journal.export(run)["events"]
+
+
+def stored(journal: Journal, *runs: str) -> list[int]:
+    """How often each drive has stored, after each store."""
+    counts: list[int] = []
+    for run in runs:
+        journal.note(run, STORED if len(counts) % 2 else RESTORED)
+        counts.append(journal.stores(run))
+    return counts
 
 
 @pytest.mark.parametrize("serial", ["", "0x00000000"])
@@ -353,4 +375,4 @@ def test_stores_of_drives_without_a_serial_are_counted_by_link(tmp_path: Path, s
             )
             for link in ("modbus-tcp://a", "modbus-tcp://b")
         )
-        assert [journal.storing(run) for run in (mine, mine, other)] == [0, 1, 0]
+        assert stored(journal, mine, mine, other) == [1, 2, 1]

@@ -85,7 +85,7 @@ def test_what_hides_a_package_of_ours_is_refused_by_its_name(
     hiding = tmp_path / (f"{package}/__init__.py" if is_folder else f"{package}.py")
     hiding.parent.mkdir(exist_ok=True)
     hiding.write_text("raise SystemExit('taken for ours')")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{ROOT}")
     words = f"{hiding} hides tworelay's own package '{package}' ({ROOT / package})"
     own = [sys.executable, "-P", "-m", "commissioning", "virtual", "list"]
     done = subprocess.run(own, check=False, capture_output=True, text=True, timeout=60)

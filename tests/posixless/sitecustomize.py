@@ -5,18 +5,23 @@ what only POSIX has is gone. Libraries are imported before, since they are as th
 # ruff: noqa: F401
 
 import asyncio
+import ctypes
+import ctypes.wintypes
 import fcntl
 import importlib
 import multiprocessing.connection
 import os
 import shutil
 import signal
+import socket
 import sqlite3
 import subprocess
 import sys
 import tempfile
 import types
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 GONE = {
     os: (
@@ -35,6 +40,41 @@ GONE = {
 def _locking(descriptor: int, mode: int, count: int) -> None:
     """As msvcrt's: whole, and without waiting."""
     fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+class _Kernel:
+    """Mutexes as kernel32's: a second one of a name is no error, and says that it was there."""
+
+    class _Call:
+        restype: object = None
+        argtypes: object = None
+
+        def __init__(self, action: Callable[..., int]) -> None:
+            self._action = action
+
+        def __call__(self, *arguments: Any) -> int:
+            return self._action(*arguments)
+
+    last_error = 0
+
+    def __init__(self, name: str, *, use_last_error: bool) -> None:
+        self.CreateMutexW = self._Call(self._create)
+        self.CloseHandle = self._Call(self._close)
+        self._open: dict[int, socket.socket] = {}
+
+    def _create(self, attributes: None, owner: bool, name: str) -> int:
+        mutex = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        _Kernel.last_error = 0
+        try:
+            mutex.bind(f"\0{name}")
+        except OSError:
+            _Kernel.last_error = 183
+        self._open[mutex.fileno()] = mutex
+        return mutex.fileno()
+
+    def _close(self, handle: int) -> int:
+        self._open.pop(handle).close()
+        return 1
 
 
 LIBRARIES = (
@@ -64,6 +104,8 @@ def _leave() -> None:
     windows.LK_NBLCK = 2  # type: ignore[attr-defined]
     windows.locking = _locking  # type: ignore[attr-defined]
     sys.modules["msvcrt"] = windows
+    ctypes.WinDLL = _Kernel  # type: ignore[attr-defined, misc]
+    ctypes.get_last_error = lambda: _Kernel.last_error  # type: ignore[attr-defined]
     subprocess.CREATE_NEW_PROCESS_GROUP = 0  # type: ignore[attr-defined]
     sys.platform = "win32"
 

@@ -35,6 +35,10 @@ MISSED_CYCLES = 3  # consecutive cycles without a sample are a lost link (safety
 NMT_OPERATIONAL = 0x01
 NMT_PRE_OPERATIONAL = 0x80
 _STATE_OPERATIONAL = 0x05
+# NMT command that brings a node into the state that its heartbeat told
+_COMMANDS: dict[int | None, int] = {
+    0x00: NMT_PRE_OPERATIONAL, 0x04: 0x02, 0x05: NMT_OPERATIONAL, 0x7F: NMT_PRE_OPERATIONAL,
+}  # fmt: skip
 _STATES = {0x00: "booting", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 _HEARTBEAT_EVERY = 100  # ms, asked of a node that has none
 _HEARTBEATS_MISSED = 3
@@ -103,6 +107,9 @@ class CanopenBus:
         )
         self._old: Objects = {}  # what was there before `start`
         self._running = False
+        self._state_before: int | None = (
+            None  # of the node, as its heartbeat said it before `start`
+        )
         self._idle: tuple[int, ...] = ()
         watchdog = profile.watchdog
         self._heartbeat = 0x700 + watchdog.node if watchdog.kind == "heartbeat" else None
@@ -177,12 +184,15 @@ class CanopenBus:
             return
         if self._wire.awaits_sync:
             self._check_sync()
+        self._wire.drain()
+        if self._state_before is None:
+            self._state_before = self._wire.heartbeat_state
         self._wire.nmt(NMT_PRE_OPERATIONAL)
         for pdo in (self._rpdo, self._tpdo):
             there = self._there(pdo.communication)
             wanted = pdo.wanted(there)
             if not _agree(there, wanted):
-                self._old |= there
+                self._old |= there | self._beyond(pdo, there)
                 self._configure(pdo.communication, wanted)
                 self._check_mapping(pdo)
         self._wire.listen_tpdo(self._tpdo.cob_id)
@@ -203,6 +213,7 @@ class CanopenBus:
             there = self._there(pdo.communication)
             wanted = pdo.wanted(there)
             if not _agree(there, wanted):
+                there |= self._beyond(pdo, there)
                 found |= {_name(at): (old, wanted.get(at, 0)) for at, old in there.items()}
         if self.in_real_time and self._heartbeat_time() == 0:
             found[_name(_HEARTBEAT_PRODUCER)] = 0, _HEARTBEAT_EVERY
@@ -241,6 +252,9 @@ class CanopenBus:
                 self._download(_HEARTBEAT_PRODUCER, every)
             except AccessDenied as error:
                 failures.append(str(error))
+        command = _COMMANDS.get(self._state_before)
+        if command is not None and self._wire.nmt_commanded != command:
+            self._wire.nmt(command)
         if failures:
             raise WriteFailed("; ".join(failures))
         self._old = {at: raw for at, raw in self._old.items() if at not in objects}
@@ -248,13 +262,22 @@ class CanopenBus:
 
     def _put_back_pdo(self, communication: int, objects: Objects) -> bool:
         """False: it was as before. Raises AccessDenied, WriteFailed."""
-        if self._there(communication) == objects:
+        mapping = communication + _MAPPING
+        unused = {
+            at: raw
+            for at, raw in objects.items()
+            if at[0] == mapping and at[1] > objects[mapping, 0]
+        }
+        used = {at: raw for at, raw in objects.items() if at not in unused}
+        if self._there(communication) == used and all(
+            self._number(*at) == raw for at, raw in unused.items()
+        ):
             return False
         self._wire.nmt(NMT_PRE_OPERATIONAL)
-        self._configure(communication, objects)
+        self._configure(communication, used, unused)
         there = self._there(communication)
-        if not _agree(there, objects):
-            wrong = [_name(at) for at, raw in objects.items() if there.get(at) != raw]
+        if not _agree(there, used):
+            wrong = [_name(at) for at, raw in used.items() if there.get(at) != raw]
             raise WriteFailed(f"the drive did not take {', '.join(wrong)} back")
         return True
 
@@ -267,8 +290,21 @@ class CanopenBus:
             there[mapping, sub] = self._number(mapping, sub)
         return there
 
-    def _configure(self, communication: int, objects: Objects) -> None:
-        """Write the parameters of one PDO in the order of CiA 301, 7.5.2.36: off, entries, on."""
+    def _beyond(self, pdo: _Pdo, there: Objects) -> Objects:
+        """Entries of a mapping that do not count, as far as ours will lie there and they can be read."""
+        mapping, found = pdo.communication + _MAPPING, Objects()
+        for sub in range(there[mapping, 0] + 1, len(pdo.entries) + 1):
+            with contextlib.suppress(AccessDenied):
+                found[mapping, sub] = self._number(mapping, sub)
+        return found
+
+    def _configure(
+        self, communication: int, objects: Objects, unused: Objects | None = None
+    ) -> None:
+        """Write the parameters of one PDO in the order of CiA 301, 7.5.2.36: off, entries, on.
+
+        Of entries that do not count, what the drive does not take stays: it has no effect.
+        """
         mapping = communication + _MAPPING
         number = objects[communication, 1]
         self._download((communication, 1), number | _PDO_OFF)
@@ -276,6 +312,9 @@ class CanopenBus:
         self._download((mapping, 0), 0)
         for sub in range(1, objects[mapping, 0] + 1):
             self._download((mapping, sub), objects[mapping, sub])
+        for at, raw in (unused or {}).items():
+            with contextlib.suppress(AccessDenied):
+                self._download(at, raw)
         self._download((mapping, 0), objects[mapping, 0])
         self._download((communication, 1), number)
 

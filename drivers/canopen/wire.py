@@ -206,6 +206,7 @@ class CanWire:
     patience : s that a service waits for its answer
     emergency : last EMCY (code, register) of the node, or None
     heartbeat_state : last NMT state heard, or None
+    nmt_commanded : last NMT command sent to the node, or None
     heard_at : when that was, s of the performance counter
     restarted : the node said that it has booted, since this was last set to False
     bus_trouble : what the adapter last said of the bus, for people; '' when it is well
@@ -231,6 +232,7 @@ class CanWire:
         self.awaits_sync = awaits_sync
         self.emergency: tuple[int, int] | None = None
         self.heartbeat_state: int | None = None
+        self.nmt_commanded: int | None = None
         self.heard_at = 0.0
         self.restarted = False
         self.bus_trouble = ""
@@ -464,6 +466,7 @@ class CanWire:
 
     def nmt(self, command: int) -> None:
         """Send an NMT command to the node."""
+        self.nmt_commanded = command
         self.send(NMT, bytes((command, self.node)))
 
     def close(self) -> None:

@@ -510,6 +510,9 @@ class CanopenNode:
             raise _Abort(_ABORT_NO_SUB)
         if pdo.count:
             raise _Abort(_ABORT_STATE)
+        if value == 0:  # an entry of nothing, which may not be counted
+            pdo.slots[sub - 1] = value
+            return
         entry = self._dictionary.objects.get((value >> 16, value >> 8 & 0xFF))
         if entry is None or struct.calcsize("<" + entry.code) * 8 != value & 0xFF:
             raise _Abort(_ABORT_NOT_MAPPABLE)

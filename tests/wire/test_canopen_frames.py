@@ -31,6 +31,7 @@ class Peer:
         self.sent: list[Frame] = []
         self._answer = answer
         self.waiting: list[can.Message] = []
+        self.changes: dict[str, tuple[int, int]] = {}  # as the bus told them before its cycle
 
     def send(self, message: can.Message, timeout: float | None = None) -> None:
         data = bytes(message.data)
@@ -206,12 +207,17 @@ def test_a_node_that_answers_nonsense_is_no_traceback() -> None:
 # -- the cycle ----------------------------------------------------------------------------------------
 
 
-def running(**options: object) -> tuple[CanopenBus, Peer, list[Frame]]:
-    """A bus of the generic profile in its cycle; the list is what the node says to each SYNC."""
+def running(
+    more: dict[tuple[int, int], int] | None = None, state: str | None = None
+) -> tuple[CanopenBus, Peer, list[Frame]]:
+    """A bus of the generic profile in its cycle; the list is what the node says to each SYNC.
+
+    `more` : objects that it has beside; `state` : what its heartbeat said before
+    """
     tpdo: list[Frame] = [(0x185, "37 02 10 27 00 00 19 00")]
     objects = {
         (0x1400, 1): 0x205, (0x1400, 2): 255, (0x1600, 0): 0, (0x1800, 1): 0x185, (0x1800, 2): 1,
-        (0x1A00, 0): 0, (0x1017, 0): 0,
+        (0x1A00, 0): 0, (0x1017, 0): 0, **(more or {}),
     }  # fmt: skip
 
     def answer(cob_id: int, data: bytes) -> list[Frame]:
@@ -229,6 +235,9 @@ def running(**options: object) -> tuple[CanopenBus, Peer, list[Frame]]:
 
     node, peer = wire(answer)
     bus = CanopenBus(node, load_profile("cia402"), WallPace(0.001))
+    if state is not None:
+        peer.say(0x705, state)
+    peer.changes = bus.changes()
     bus.start((0x0F, 0, 0))
     return bus, peer, tpdo
 
@@ -404,6 +413,44 @@ def test_a_pdo_goes_back_off_first_and_on_last() -> None:
         "23 00 16 01 10 00 40 60", "2F 00 16 00 01 00 00 00", "23 00 14 01 05 02 00 00",
     ]  # fmt: skip
     assert not bus.put_back(old), "all is as before"
+
+
+def test_entries_that_do_not_count_go_back_too() -> None:
+    """Ours lie in 1600h:02 and 03; what was there comes back as soon as somebody counts them again."""
+    left = {(0x1600, 0): 1, (0x1600, 1): 0x60400010, (0x1600, 2): 0x60600008, (0x1600, 3): 0}
+    bus, peer, _ = running(left)
+    old = {name: before for name, (before, _) in peer.changes.items()}
+    assert {old[f"1600h:{sub:02}"] for sub in range(4)} == set(left.values())
+    del peer.sent[:]
+    assert bus.put_back(old)
+    writes = [text for cob_id, text in peer.sent if cob_id == 0x605 and text.startswith("2")]
+    mapping = [text for text in writes if text[3:8] == "00 16"]
+    assert mapping == [
+        "2F 00 16 00 00 00 00 00", "23 00 16 01 10 00 40 60", "23 00 16 02 08 00 60 60",
+        "23 00 16 03 00 00 00 00", "2F 00 16 00 01 00 00 00",
+    ]  # fmt: skip
+    assert not bus.put_back(old), "all is as before"
+
+
+@pytest.mark.parametrize(
+    ("state", "command"), [("7F", "80 05"), ("05", "01 05"), ("04", "02 05"), ("00", "80 05")]
+)
+def test_a_node_gets_the_state_back_that_its_heartbeat_told(state: str, command: str) -> None:
+    bus, peer, _ = running(state=state)
+    assert peer.sent[-2] == (0x000, "01 05")
+    bus.put_back({name: old for name, (old, _) in peer.changes.items()})
+    assert [text for cob_id, text in peer.sent if cob_id == 0][-1] == command
+
+
+def test_a_node_whose_state_nobody_told_is_left_as_its_pdos_need_it() -> None:
+    bus, peer, _ = running()
+    bus.put_back({name: old for name, (old, _) in peer.changes.items()})
+    assert [text for cob_id, text in peer.sent if cob_id == 0] == [
+        "80 05",
+        "01 05",
+        "80 05",
+        "80 05",
+    ]
 
 
 @pytest.mark.parametrize(

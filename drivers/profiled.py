@@ -180,7 +180,9 @@ class ProfiledDrive:
     def write_raw(self, name: str, raw: int) -> None:
         """Write a raw value and read it back; raises WriteFailed, LinkError."""
         parameter = self._parameter(name)
-        if parameter.protection is Protection.COMMAND and name in SET:
+        if parameter.protection is Protection.COMMAND and (
+            name in SET or name in self.power_changes()
+        ):
             if self.is_energised():
                 raise WriteFailed(f"'{name}' is not put back while the drive is enabled")
         elif parameter.protection not in _WRITTEN:
@@ -272,10 +274,9 @@ class ProfiledDrive:
             if step.write is None or step.raw is None:
                 continue
             parameter = self._parameter(step.write)
-            if (
-                parameter.protection is Protection.EXPERIMENT
-                and parameter.access is not Access.WRITE_ONLY
-            ):
+            kept = parameter.protection in (Protection.EXPERIMENT, Protection.COMMAND)
+            # a controlword is a command of the moment, and no setting
+            if kept and parameter.access is not Access.WRITE_ONLY and power is not None:
                 found[step.write] = (*found.get(step.write, ()), step.raw)
         return found
 

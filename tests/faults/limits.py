@@ -19,6 +19,7 @@ from commissioning.session.desk import Desk, Options
 from commissioning.session.identify import identify
 from drivers.link import axis_of
 from drivers.virtual.firmware import Firmware
+from tests.faults.two_key import TWO_KEY, in_process
 
 __all__ = ["Outcome", "one"]
 
@@ -26,6 +27,7 @@ _DRIVE_SPEED = 1.2  # of the speed limit: what the drive itself holds
 _LIMITER = 1.25e-3  # s that the drive's own limiter takes: supervision and one period of its loop
 _LET_REST = 3_000_000_000  # ns after the job
 _ALLOWED = {0, 2, 3, 5, 6}
+_EVERY = 4  # of these axes one has a drive with two keys
 
 
 @dataclass
@@ -130,10 +132,13 @@ def one(seed: int, home: Path) -> Outcome:
     """One job on the axis that `seed` draws."""
     link, options, gain = _drawn(seed)
     code = 0
-    with _Watched() as watched, Journal(home) as journal:
+    with in_process(), _Watched() as watched, Journal(home) as journal:
         desk = Desk(journal, Interruption(), lambda text: None, lambda question, word: True)
         try:
-            identify(axis_of(f"{link}&state={home / 'drive.json'}"), options, desk)
+            axis = axis_of(f"{link}&state={home / 'drive.json'}")
+            if seed % _EVERY == 0:
+                axis = axis.model_copy(update={"profile": TWO_KEY})
+            identify(axis, options, desk)
         except Failure as failure:
             code = failure.error.exit_code
         firmware = watched.firmware

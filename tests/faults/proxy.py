@@ -14,8 +14,20 @@ from enum import StrEnum
 
 from drivers.link import parse
 from tests.faults.framing import Framing, ModbusRtu, ModbusTcp, Slcan, Socketcand
+from tests.faults.two_key import TWO_KEY
 
-__all__ = ["NEED_NO_ANSWER", "WIRES", "Proxy", "Way", "Wire", "drive_end"]
+__all__ = ["NEED_NO_ANSWER", "OF_TWO_KEYS", "WATCHED", "WIRES", "Proxy", "Way", "Wire", "drive_end"]
+
+
+WATCHED = (
+    "max_torque", "max_speed", "abort_connection_option", "quick_stop_option", "watchdog_time",
+    "mode_of_operation", "torque_target", "coulomb_positive", "coulomb_negative",
+    "viscous_gain", "torque_offset",
+)  # fmt: skip
+OF_TWO_KEYS = (
+    "max_torque", "max_speed", "watchdog_time", "control_mode", "key_1", "key_2", "halt", "torque_target",
+    "position_target", "torque_offset", "friction_positive", "friction_negative",
+)  # fmt: skip
 
 
 class Way(StrEnum):
@@ -41,9 +53,11 @@ class Wire:
     Attributes
     ----------
     serve : arguments of `virtual serve`
-    profile : built-in one
+    profile : built-in one, or a file
     link : with {} for the place of the proxy
     pty : the host's end is a pseudo-terminal
+    watched : parameters that must be as before
+    is_own : it is not our own virtual drive, and so is looked at by its own profile
     """
 
     framing: Callable[[], Framing]
@@ -51,6 +65,8 @@ class Wire:
     profile: str
     link: str
     pty: bool
+    watched: tuple[str, ...] = WATCHED
+    is_own: bool = False
 
 
 WIRES = {
@@ -69,6 +85,10 @@ WIRES = {
     "socketcand": Wire(
         Socketcand, ("--socketcand", "127.0.0.1:0"), "virtual-canopen",
         "canopen://socketcand/127.0.0.1:{}/can0?node=5", pty=False,
+    ),
+    "two-key": Wire(
+        ModbusTcp, ("--profile", TWO_KEY, "--modbus-tcp", "127.0.0.1:0"), TWO_KEY,
+        "modbus-tcp://127.0.0.1:{}?unit=1", pty=False, watched=OF_TWO_KEYS, is_own=True,
     ),
 }  # fmt: skip
 

@@ -21,11 +21,6 @@ from tests.faults.proxy import NEED_NO_ANSWER, WIRES, Proxy, Way, drive_end
 
 __all__ = ["Rig", "ways"]
 
-WATCHED = (
-    "max_torque", "max_speed", "abort_connection_option", "quick_stop_option", "watchdog_time",
-    "mode_of_operation", "torque_target", "coulomb_positive", "coulomb_negative",
-    "viscous_gain", "torque_offset",
-)  # fmt: skip
 PDO = (
     (0x1400, 1), (0x1400, 2), (0x1600, 0), (0x1600, 1), (0x1800, 1), (0x1800, 2), (0x1A00, 0), (0x1A00, 1),
     (0x1017, 0),
@@ -75,7 +70,8 @@ class Rig:
         self.wire = WIRES[wire]
         self.whole = whole
         patient = f"{links[0]}&timeout=2"
-        self._watch = open_drive(Axis(link=patient, profile="virtual-modbus"))
+        profile = self.wire.profile if self.wire.is_own else "virtual-modbus"
+        self._watch = open_drive(Axis(link=patient, profile=profile))
         self.direct = f"{links[-1]}&timeout=2"
         self.home = home
         self.before = self.look()
@@ -89,10 +85,10 @@ class Rig:
             watch.reset_fault()
         watch.wait(2.0)  # it coasts to rest before the next case
         if "canopen" not in self.direct:
-            return {name: watch.read_raw(name) for name in WATCHED}
+            return {name: watch.read_raw(name) for name in self.wire.watched}
         drive = open_drive(Axis(link=self.direct, profile=self.wire.profile))
         try:
-            found = {name: drive.read_raw(name) for name in WATCHED}
+            found = {name: drive.read_raw(name) for name in self.wire.watched}
         finally:
             drive.close()
         return found | self._look_at_pdos()

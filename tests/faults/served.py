@@ -15,9 +15,8 @@ __all__ = ["served"]
 @contextlib.contextmanager
 def served(wire: str, state: Path | None = None) -> Generator[list[str]]:
     """Its links: by Modbus TCP, and on the wire (which may be the same); `state`: its memory."""
-    arguments = WIRES["modbus-tcp"].serve
-    if wire != "modbus-tcp":
-        arguments += WIRES[wire].serve
-    links = len(arguments) // 2
+    arguments, links = WIRES[wire].serve, 1
+    if not WIRES[wire].is_own and wire != "modbus-tcp":
+        arguments, links = WIRES["modbus-tcp"].serve + arguments, 2
     with serve("bench", *arguments, "--clock", "step", links=links, state=state) as found:
         yield found

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.faults.machine import DELAYS, JOBS, Fault, Job, one, phases
+from tests.faults.two_key import in_process
 
 
-@pytest.mark.parametrize("job", JOBS, ids=lambda job: f"{job.axis}-{job.work}")
+@pytest.fixture(autouse=True)
+def two_keys() -> Iterator[None]:
+    with in_process():
+        yield
+
+
+@pytest.mark.parametrize("job", JOBS, ids=str)
 def test_each_fault_in_some_phase(job: Job, tmp_path: Path) -> None:
     """`make machine-faults` tries every phase."""
     draw, found = random.Random(job.axis), phases(job, tmp_path)

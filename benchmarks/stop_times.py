@@ -10,6 +10,7 @@ import statistics
 import struct
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,8 +21,10 @@ from typing import Any
 
 from commissioning.envelope import Envelope
 from commissioning.experiments.plan import Plan
+from commissioning.guardian import NOBODY, Guardian, guarded
 from commissioning.interruption import Interruption
 from commissioning.runner import Recorder, run
+from drivers.drive import Drive
 from drivers.link import open_drive
 from profiles.axis import Axis
 from profiles.errors import EnvelopeTripped, TwoRelayError
@@ -37,6 +40,10 @@ _TORQUE, _TURN = 0.13, 20  # N.m, cycles: bench moves to and fro at up to 3 rad/
 _BEFORE = 40, 80  # cycles until the cause
 _ENABLED, _AT_REST = 0x27, 400  # statusword's state bits; increments/s: 0.02 rad/s
 CTRL_C, LIMIT, DRIVE, DEAD = "Ctrl-C", "limit of the envelope", "drive stops", "dead link"
+SILENT = "loop silent (guardian)"
+_FROZEN = 1.2  # s
+_FEEDS = 5000
+_UNWATCHED = 'extends = "{}"\nname = "unwatched"\n[watchdog]\nkind = "none"\n'
 _TORQUE_REGISTER = 0x0100
 
 
@@ -44,8 +51,9 @@ _HEAD = """# Stop times
 
 `python -m benchmarks.stop_times`: {times} stops of `bench` a row, in real time, cycle {cycle:g} ms; median / 99 % / worst.
 *To zero*: from the cause to the frame with zero torque leaving this computer. *To rest*: to the last instant at which
-another master saw the axis move. *Drive by itself*: of a dead link, until the drive leaves operation by its own
-watchdog of 50 ms; what this computer sends then reaches nobody."""
+another master saw the axis move. *Out of operation*: until the drive no longer follows a command: after a dead link by
+its own watchdog of 50 ms, for what this computer sends then reaches nobody; after a loop that falls silent, on a drive
+without a watchdog, by the guardian, which waits for 250 ms."""
 
 
 @dataclass
@@ -161,7 +169,7 @@ def _served(wire: str) -> Iterator[tuple[str, str]]:
 class _Causes:
     """What ends a motion; each says when it came."""
 
-    def __init__(self, stop: _Stop, proxy: Proxy, look_link: str, delay: float) -> None:
+    def __init__(self, stop: _Stop, proxy: Proxy | None, look_link: str, delay: float) -> None:
         self._stop, self._proxy, self._look_link, self._delay = stop, proxy, look_link, delay
         self._timer: threading.Timer | None = None
 
@@ -170,6 +178,10 @@ class _Causes:
         if cause == LIMIT:
             self._now()
             raise EnvelopeTripped("a limit")
+        if cause == SILENT:
+            self._now()
+            time.sleep(_FROZEN)
+            return
         act = {CTRL_C: self._interrupt, DRIVE: self._fail, DEAD: self._cut}[cause]
         self._timer = threading.Timer(self._delay, act)
         self._timer.start()
@@ -194,6 +206,7 @@ class _Causes:
 
     def _cut(self) -> None:
         self._now()
+        assert self._proxy is not None
         self._proxy.cut()
 
 
@@ -201,8 +214,10 @@ def _once(wire: str, drive_link: str, look_link: str, cause: str, draw: random.R
     """One stop; the drive is ready for the next one after it."""
     stop = _Stop()
     kind = WIRES[wire]
-    proxy = Proxy(kind, drive_end(drive_link), None, Way.SILENT)
-    axis = Axis(link=kind.link.format(proxy.place), profile=kind.profile, travel=100.0)
+    # a guardian connects beside the loop, and the proxy is for one
+    proxy = Proxy(kind, drive_end(drive_link), None, Way.SILENT) if cause != SILENT else None
+    link = drive_link if proxy is None else kind.link.format(proxy.place)
+    axis = Axis(link=link, profile=kind.profile, travel=100.0)
     causes = _Causes(stop, proxy, look_link, draw.random() * _CYCLE)
     plan = _plan(stop, draw.randint(*_BEFORE), lambda: causes.act(cause))
     envelope = Envelope(centre=0.0, travel=1e6, speed=1e6, torque=1.0, duration=60.0)
@@ -212,16 +227,52 @@ def _once(wire: str, drive_link: str, look_link: str, cause: str, draw: random.R
             if drive.in_fault():
                 drive.reset_fault()
             for name, raw in drive.watchdog_settings().items():
-                drive.write_raw(name, raw)
-            with Interruption() as interruption, contextlib.suppress(TwoRelayError):
-                run(plan, drive, envelope, Recorder(), interruption)
+                drive.write_raw(name, 0 if cause == SILENT and name == "watchdog_time" else raw)
+            with (
+                tempfile.TemporaryDirectory() as home,
+                _guarded(drive, axis, Path(home), cause) as guardian,
+                Interruption() as interruption,
+                contextlib.suppress(TwoRelayError),
+            ):
+                run(plan, drive, envelope, Recorder(), interruption, guardian=guardian)
         finally:
             causes.join()
             drive.close()
     finally:
-        proxy.close()
-    time.sleep(0.3 if cause == DEAD else 0.1)  # until the drive's own watchdog has done
+        if proxy is not None:
+            proxy.close()
+    time.sleep(0.3 if cause in (DEAD, SILENT) else 0.1)  # until the drive's own watchdog has done
     return stop
+
+
+@contextmanager
+def _guarded(drive: Drive, axis: Axis, home: Path, cause: str) -> Iterator[Guardian]:
+    """The guardian of a drive without a watchdog, where it is what stops the axis."""
+    if cause != SILENT:
+        yield NOBODY
+        return
+    profile = home / "unwatched.toml"
+    profile.write_text(_UNWATCHED.format(axis.profile))
+    with guarded(drive, axis, profile, "none", home) as guardian:
+        yield guardian
+
+
+def _cost_of_feeding() -> str:
+    """What the guardian takes of a cycle."""
+    with _served("modbus-tcp") as (link, _), tempfile.TemporaryDirectory() as home:
+        axis = Axis(link=link, profile="virtual-modbus")
+        drive = open_drive(axis, cycle=_CYCLE)
+        with _guarded(drive, axis, Path(home), SILENT) as guardian:
+            guardian.arm()
+            spent = []
+            for _ in range(_FEEDS):
+                time.sleep(0.0005)
+                begin = time.perf_counter()
+                guardian.feed()
+                spent.append(1e6 * (time.perf_counter() - begin))
+            guardian.rest()
+        drive.close()
+    return f"The guardian takes {_three(spent)} µs of a cycle ({_FEEDS} words to it, median / 99 % / worst)."
 
 
 def _some(wire: str, drive_link: str, look_link: str, cause: str, draw: random.Random) -> _Stop:
@@ -238,31 +289,32 @@ def stop_times(times: int = _TIMES) -> list[str]:
     lines = [
         *_HEAD.format(times=times, cycle=1000 * _CYCLE).splitlines(),
         "",
-        "| link | cause | to zero, ms | worst, cycles | to rest, ms | drive by itself, ms |",
+        "| link | cause | to zero, ms | worst, cycles | to rest, ms | out of operation, ms |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
     draw = random.Random(0)
-    for wire in WIRES:
+    for wire in (name for name, kind in WIRES.items() if not kind.is_own):
         with _served(wire) as (drive_link, look_link):
-            for cause in (CTRL_C, LIMIT, DRIVE, DEAD):
+            for cause in (CTRL_C, LIMIT, DRIVE, DEAD, SILENT):
                 observer = _Observer(look_link)
                 stops = [_some(wire, drive_link, look_link, cause, draw) for _ in range(times)]
                 observer.close()
-                zero = [1000 * (stop.zero_sent - stop.cause) for stop in stops]
+                zero = [1000 * (stop.zero_sent - stop.cause) for stop in stops if cause != SILENT]
                 rest = [
                     1000 * (observer.at_rest(s.cause) - s.cause) for s in _apart(stops, observer)
                 ]
                 own = (
                     _three([1000 * (observer.left_operation(s.cause) - s.cause) for s in stops])
-                    if cause == DEAD
+                    if cause in (DEAD, SILENT)
                     else "–"
                 )
+                cycles = f"{max(zero) / 1000 / _CYCLE:.1f}" if zero else "–"
                 lines.append(
-                    f"| {wire} | {cause} | {_three(zero)} | {max(zero) / 1000 / _CYCLE:.1f} | {_three(rest)} "
+                    f"| {wire} | {cause} | {_three(zero) if zero else '–'} | {cycles} | {_three(rest)} "
                     f"| {own} |"
                 )
                 print(lines[-1], flush=True)
-    return lines
+    return [*lines, "", _cost_of_feeding()]
 
 
 def _apart(stops: list[_Stop], observer: _Observer) -> Iterator[_Stop]:

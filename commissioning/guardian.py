@@ -74,6 +74,7 @@ class Guardian:
 
     def arm(self) -> None:
         """From now on silence is a failure; raises DriveFault when the guardian has ended meanwhile."""
+        self._heed()
         if self._is_dead:
             raise DriveFault(
                 "the guardian process has ended, so nothing would stop the axis if this computer failed; "
@@ -82,8 +83,14 @@ class Guardian:
         self._say(ARM)
 
     def feed(self) -> None:
-        """The loop is alive; raises DriveFault when the guardian is not."""
+        """The loop is alive; raises DriveFault when the guardian is not, or has stopped the axis."""
+        self._heed()
         self._say(FEED)
+
+    def _heed(self) -> None:
+        """No command goes out beside the stop of a guardian that took the loop for dead."""
+        if self.said:
+            raise DriveFault(self.acted())
 
     def rest(self) -> None:
         """The loop is silent on purpose; only its death is a failure."""
@@ -100,8 +107,7 @@ class Guardian:
         except OSError:
             self._line, self._is_dead = None, True
             raise DriveFault(
-                self.acted()
-                or "the guardian process has ended, so nothing would stop the axis if this computer failed; "
+                "the guardian process has ended, so nothing would stop the axis if this computer failed; "
                 f"the axis was stopped{self._taken_back()}"
             ) from None
 

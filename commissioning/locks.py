@@ -177,13 +177,14 @@ if sys.platform == "win32":
 if sys.platform != "win32":
     import fcntl
 
+    _FOLDER = Path("/tmp/tworelay-locks")  # noqa: S108  the same for every user, whatever TMPDIR says
+
     class FileLock:
         """A file that is locked, in a folder that every user can write to."""
 
         def __init__(self, name: str, doing: str) -> None:
             self._since = time.time()
-            folder = Path(tempfile.gettempdir()) / "tworelay-locks"
-            file = folder / name
+            folder, file = _FOLDER, _FOLDER / name
             try:
                 folder.mkdir(exist_ok=True)
                 with contextlib.suppress(PermissionError):  # another user's, who has done the same
@@ -196,7 +197,7 @@ if sys.platform != "win32":
             except OSError as error:
                 raise Refused(
                     f"no lock can be made in {folder} ({error.strerror}): without it two programs could move "
-                    "one axis; remove the folder, or set TMPDIR to one that can be written"
+                    "one axis; remove what is there, or make it writable"
                 ) from None
             self._file = os.fdopen(descriptor, "r+", encoding="utf-8", errors="replace")
             try:

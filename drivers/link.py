@@ -15,7 +15,7 @@ from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis, AxisLimits, Mechanics
 from profiles.errors import AccessDenied, IdentityMismatch, LinkError, UsageError
 from profiles.library import fitting, load_profile
-from profiles.schema import Identity, Profile
+from profiles.schema import Identity, LinkDefaults, Profile
 
 if TYPE_CHECKING:
     from drivers.modbus.wires import Wire
@@ -160,6 +160,9 @@ def open_drive(
         raise UsageError(f"profile '{named.name}' is for {named.bus}, the link is {link.scheme}://")
     if named is not None:
         named = _armed_with(named, axis)
+    if named is not None and to_stop:  # nothing is waited for
+        impatient = named.link.model_copy(update={"patience": 0.0})
+        named = named.model_copy(update={"link": impatient})
     opener = {"virtual": _open_virtual, "canopen": _open_canopen}.get(link.scheme, _open_modbus)
     bus, profile = opener(link, axis, named, cycle or axis.cycle, trace)
     try:
@@ -249,7 +252,8 @@ def _open_modbus(
     wire = modbus_wire(link, profile)
     client = Client(wire, _unit(link, profile), _timeout(link, profile), trace)
     try:
-        chosen = _armed_with(_agree(identify(client), "modbus", profile), axis)
+        patience = (profile.link if profile else LinkDefaults()).patience
+        chosen = _armed_with(_agree(identify(client, patience), "modbus", profile), axis)
         return ModbusBus(client, chosen, _pace(link, cycle or chosen.link.cycle)), chosen
     except BaseException:
         client.close()

@@ -67,7 +67,7 @@ def _serial(port: str) -> str:
 
 def _at(host: str, port: str) -> tuple[str, ...]:
     """A port of a host by each of its addresses; by its name where it has none."""
-    bare = host.strip("[]").rstrip(".").lower()
+    bare, port = host.strip("[]").rstrip(".").lower(), port.lstrip("0")
     try:
         found = {
             str(info[4][0]) for info in socket.getaddrinfo(bare, None, type=socket.SOCK_STREAM)

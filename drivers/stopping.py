@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from math import inf, nan
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from drivers.drive import Bus, StopFrames, StopReport
 from profiles.errors import AccessDenied, WriteFailed
 from profiles.schema import Address, Profile, Step
 
 __all__ = ["Rest", "StopPath"]
+
+T = TypeVar("T")
 
 _POLL = 0.005  # s between two looks at a drive that is stopping
 _AT_REST, _RESTING = 3, 1e-4  # increments, or revolutions, between two looks: it does not move
@@ -27,6 +30,62 @@ class Rest(NamedTuple):
 
     address: Address
     raw: int
+
+
+class _Busy(Exception):
+    """The drive has no time to answer; that tells nothing."""
+
+
+def _now(look: Callable[[], T]) -> T:
+    """What a look at the drive tells; raises _Busy where it says that it has no time."""
+    try:
+        return look()
+    except AccessDenied as error:
+        if error.busy:
+            raise _Busy from None
+        raise
+
+
+class _Said:
+    """What was said to a drive, whatever fails.
+
+    Attributes
+    ----------
+    failures : in words
+    refused : writes for which the drive had no time
+    """
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self.failures: list[str] = []
+        self.refused: list[tuple[Address, int]] = []
+
+    def fail(self, error: Exception) -> None:
+        """Note what failed."""
+        self.failures.append(str(error) or type(error).__name__)
+
+    def attempt(self, action: Callable[[], None]) -> None:
+        """Do it, or note why not."""
+        try:
+            action()
+        except Exception as error:
+            self.fail(error)
+
+    def post(self, writes: list[tuple[Address, int]]) -> None:
+        """Write without waiting."""
+        for address, raw in writes:
+            try:
+                _now(lambda at=address, raw=raw: self._bus.post(at, raw))  # type: ignore[misc]
+            except _Busy:
+                self.refused.append((address, raw))
+            except Exception as error:
+                self.fail(error)
+
+    def again(self) -> None:
+        """What was refused for now, in its order."""
+        waiting = self.refused.copy()
+        self.refused.clear()
+        self.post(waiting)
 
 
 class StopPath:
@@ -56,27 +115,35 @@ class StopPath:
         if descriptor is None and port is None:
             return None
 
-        def made(steps: tuple[Step, ...], *, waits: bool) -> list[tuple[bytes, float]]:
-            found: list[tuple[bytes, float]] = []
-            for step in steps:
-                if (
-                    step.until is not None and found and waits
-                ):  # nobody reads: as long as it may take
-                    found[-1] = found[-1][0], max(step.within, _BETWEEN_FRAMES)
-                found += [
-                    (self._bus.frame(address, raw), _BETWEEN_FRAMES)
-                    for address, raw in self._writes((step,))
-                ]
-            return found
+        every: list[tuple[bytes, float]] = []
 
-        first = (self._bus.frame(*rest), _BETWEEN_FRAMES)
-        # at once, and once more in case that a frame is lost; only the last time is waited
-        halts = [[first, *made(self._profile.stop, waits=n == 1)] for n in range(_REPEATS, 0, -1)]
-        every = [frame for halt in halts for frame in halt]
+        def add(writes: list[tuple[Address, int]], pause: float) -> None:
+            """Frames at once, and twice more in case that one is lost; then a pause, for nobody reads."""
+            every.extend(
+                (self._bus.frame(address, raw), _BETWEEN_FRAMES)
+                for address, raw in writes * _REPEATS
+            )
+            every[-1] = (every[-1][0], max(every[-1][1], pause))
+
+        for writes, pause in self._groups(self._profile.stop, [rest]):
+            add(writes, pause)
         every[-1] = (every[-1][0], max(every[-1][1], self._profile.stop_time))
-        for n in range(_REPEATS, 0, -1):
-            every += made(self._profile.disable, waits=n == 1)
+        for writes, pause in self._groups(self._profile.disable, []):
+            add(writes, pause)
         return StopFrames(descriptor, tuple(every), port)
+
+    def _groups(
+        self, steps: tuple[Step, ...], writes: list[tuple[Address, int]]
+    ) -> list[tuple[list[tuple[Address, int]], float]]:
+        """Writes up to a step that waits, and how long that may take, s; then those up to the next one."""
+        found, group = [], list(writes)
+        for step in steps:
+            if step.until is None:
+                group += self._writes((step,))
+            else:
+                found.append((group, step.within))
+                group = []
+        return [*found, (group, 0.0)] if group else found
 
     def _writes(self, steps: tuple[Step, ...]) -> list[tuple[Address, int]]:
         return [
@@ -93,62 +160,69 @@ class StopPath:
         `hurry` says that the energy must go now, without waiting for standstill; `afterwards` is done on
         a drive that has none any more. Never raises.
         """
-        failures: list[str] = []
-
-        def attempt(action: Callable[[], None]) -> None:
-            try:
-                action()
-            except Exception as error:
-                failures.append(str(error) or type(error).__name__)
-
-        def post(writes: list[tuple[Address, int]]) -> None:
-            for address, raw in writes:
-                attempt(lambda address=address, raw=raw: self._bus.post(address, raw))  # type: ignore[misc]
+        said = _Said(self._bus)
 
         def perform(steps: tuple[Step, ...]) -> None:
             """Writes at once, up to a step that waits; an `until` is waited for, and told when in vain."""
             for step in steps:
                 if step.until is not None:
-                    attempt(lambda step=step: self._await(step, hurry))  # type: ignore[misc]
+                    said.attempt(lambda step=step: self._await(step, hurry))  # type: ignore[misc]
                 else:
-                    post(self._writes((step,)))
+                    said.post(self._writes((step,)))
 
         if "controlword" in self._profile.cycle.out:
             # both travel in one frame, and it must not say "enable operation" once more
             perform(self._profile.stop)
-            post([rest])
+            said.post([rest])
         else:
-            post([rest])
+            said.post([rest])
             perform(self._profile.stop)
         if not hurry():
-            attempt(lambda: self._await_standstill(hurry))
+            said.attempt(lambda: self._await_standstill(hurry, said.again))
+        said.refused.clear()  # a quick stop after it would be one too many
         perform(self._profile.disable)
         state: bool | None = None
-        for _ in range(self._looks):
+        deadline = self._bus.now() + self._profile.stop_time
+        for look in range(self._looks):
+            if look >= _FEWEST_LOOKS and self._bus.now() > deadline:
+                break
             try:
-                state = not self._is_energised()
+                state = not self._energised_now()
             except Exception as error:
-                failures.append(str(error) or type(error).__name__)
+                said.fail(error)
                 break
             if state:
-                attempt(afterwards)
+                said.attempt(afterwards)
                 break
-            attempt(lambda: self._bus.wait(_POLL))
-        return StopReport(state, tuple(dict.fromkeys(failures)))
+            said.again()
+            said.attempt(lambda: self._bus.wait(_POLL))
+        return StopReport(state, tuple(dict.fromkeys(said.failures)))
 
     def _await(self, step: Step, hurry: Callable[[], bool]) -> None:
         """Wait as a step says; raises WriteFailed when that is in vain, LinkError."""
-        name, waited = step.until or "", 0.0
+        name = step.until or ""
         address = self._profile.parameters[name].address
-        while (there := self._bus.read(address)) & step.mask != step.equals and not hurry():
-            if waited >= step.within:
+        deadline = self._bus.now() + step.within
+        there: int | None = None
+        while not hurry():
+            with contextlib.suppress(_Busy):
+                there = _now(lambda: self._bus.read(address))
+                if there & step.mask == step.equals:
+                    return
+            if self._bus.now() >= deadline:
                 raise WriteFailed(
                     f"stop: '{name}' reads {there} for {step.within:g} s instead of {step.equals}"
                 )
             self._bus.wait(_POLL)
-            waited += _POLL
 
-    def _await_standstill(self, hurry: Callable[[], bool]) -> None:
+    def _energised_now(self) -> bool:
+        """Whether the drive has energy, as far as is known: one that has no time to tell has."""
+        try:
+            return _now(self._is_energised)
+        except _Busy:
+            return True
+
+    def _await_standstill(self, hurry: Callable[[], bool], again: Callable[[], None]) -> None:
         """Wait until the drive has stopped the axis and closed the brake, at most `stop_time`.
 
         Where a drive has no word for braking, one that is not enabled any more may still brake: then the
@@ -156,17 +230,19 @@ class StopPath:
         """
         at, time = self._position(), self._bus.now()
         most, faster, resting = 0.0, 0, 0
+        deadline = time + self._profile.stop_time
         for look in range(self._looks):
-            if hurry():
+            if hurry() or (look >= _FEWEST_LOOKS and time > deadline):
                 return
-            if not self._is_energised() and (self._says_braking or resting >= _FEWEST_LOOKS):
+            if not self._energised_now() and (self._says_braking or resting >= _FEWEST_LOOKS):
                 return
+            again()
             self._bus.wait(_POLL)
             before, at = at, self._position()
             since, time = time, self._bus.now()
             # nan where it cannot be read: no faster than anything
             speed = abs(at - before) / (time - since)
-            resting = 0 if abs(at - before) > self._at_rest else resting + 1
+            resting = resting + 1 if abs(at - before) <= self._at_rest else 0
             if look < _FIRST_LOOKS:
                 most = max(most, _TIMES * speed + self._noise)
                 continue

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, pi
+from math import ceil, cos, pi
 
 from commissioning.experiments.plan import Context, Plan
 from drivers.sample import Sample
@@ -55,8 +55,11 @@ def path_for(context: Context, coulomb: float, inertia: float | None) -> Trackin
     return TrackingPath(amplitude, max(_PERIOD, slow, light), creep)
 
 
-def track(context: Context, path: TrackingPath) -> Plan[TrackingSamples]:
-    """Follow the path; the position command begins and ends at the start with no speed."""
+def track(context: Context, path: TrackingPath, here: float) -> Plan[TrackingSamples]:
+    """Follow the path; the position command begins and ends at the start with no speed.
+
+    `here` : where the axis is, rad or m: friction may have held it a little off
+    """
     start, count, way = (
         context.start,
         *(round(seconds / context.cycle) for seconds in (path.period, _CREEP_TIME)),
@@ -68,6 +71,9 @@ def track(context: Context, path: TrackingPath) -> Plan[TrackingSamples]:
     def follow(positions: list[float]) -> Plan[list[Sample]]:
         return _follow(context, positions, path.amplitude)
 
+    slowly = path.amplitude / count  # a cycle, as is usual on the path
+    steps = ceil(abs(start - here) / slowly)
+    yield from follow([here + (start - here) * n / steps for n in range(1, steps + 1)])
     yield from follow(turn)  # the first turn is not looked at
     return TrackingSamples(
         reversals=(yield from follow(TURNS * turn)),

@@ -140,8 +140,6 @@ def _storing(profile: Profile, *, prove_first: bool) -> tuple[bool, str]:
         return not prove_first, "and are lost at power-off: the profile has no store procedure"
     if not prove_first:
         return True, "and stored"
-    if profile.compensation.acts_stored:
-        return True, "and stored before they are proved: in this drive they act only then"
     return False, "in its RAM, and stored once they are proved"
 
 
@@ -239,7 +237,7 @@ def store(
     try:
         drive.store()
     except TwoRelayError as error:
-        error.args = (f"{error}; in effect, and not stored: {', '.join(wanted)}",)
+        error.args = (f"{error}; not known to be stored: {', '.join(wanted)}",)
         raise
     desk.journal.note(run_id, text)
     for name, raw in wanted.items():
@@ -293,7 +291,10 @@ def _put_all_back(drive: Drive, desk: Desk, run_id: str, *, force: bool) -> Rest
     settle(desk.journal, [i for i in intents if i.kind == "experiment"], outcome)
     if not outcome.complete:
         unstored = "; nothing was stored" if lasting else ""
-        raise WriteFailed(f"restore of run {run_id} is incomplete: {outcome}{unstored}")
+        raise _Incomplete(
+            f"restore of run {run_id} is incomplete: {outcome}{unstored}",
+            (*outcome.failed, *outcome.skipped),
+        )
     if lasting and drive.profile.store is not None and desk.journal.memory(run_id) in _OURS:
         old = {intent.parameter: intent.old for intent in reversed(lasting)}
         try:
@@ -310,11 +311,22 @@ def _put_all_back(drive: Drive, desk: Desk, run_id: str, *, force: bool) -> Rest
 _OURS = STORED, STORING  # what may be in a non-volatile memory
 
 
-def leave_as_found(run: str, desk: Desk) -> str:
-    """Put back all that `run` changed, after it came to nothing; never raises, and says what it reached."""
+class _Incomplete(WriteFailed):
+    """Some parameters are not back; `left`: which."""
+
+    def __init__(self, message: str, left: tuple[str, ...]) -> None:
+        super().__init__(message)
+        self.left = left
+
+
+def leave_as_found(run: str, desk: Desk) -> tuple[str, tuple[str, ...]]:
+    """Put back all that `run` changed, after it came to nothing; never raises.
+
+    Returns what it reached, '' where nothing had been changed, and the names of what is not back.
+    """
     intents = desk.journal.intents(run, open_only=True)
     if not intents:
-        return ""
+        return "", ()
     record, folder = desk.journal.run(run), RunFolder.of(desk.journal, run)
     try:
         with connect(axis_of_run(record, folder, None), None, desk, f"run {run}") as drive:
@@ -323,9 +335,12 @@ def leave_as_found(run: str, desk: Desk) -> str:
                 raise LinkError(f"another drive is on the link, with serial {found.serial}")
             outcome = _put_all_back(drive, desk, run, force=False)
     except TwoRelayError as error:
-        left = dict.fromkeys(i.parameter for i in desk.journal.intents(run, open_only=True))
-        return f"NOT put back: {', '.join(left)} ({error}); 'tworelay restore {run}' puts the old values back"
-    return f"the drive is as it was found ({outcome})"
+        left = tuple(dict.fromkeys(i.parameter for i in intents))
+        if isinstance(error, _Incomplete):
+            left = error.left
+        way = f"'tworelay restore {run}' puts the old values back"
+        return f"NOT put back: {', '.join(left)} ({error}); {way}", left
+    return f"the drive is as it was found ({outcome})", ()
 
 
 def _resolve_any(desk: Desk, run: str) -> tuple[str, RunFolder]:

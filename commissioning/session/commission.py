@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import Any
 
@@ -9,7 +10,7 @@ from commissioning.runs import RunFolder
 from commissioning.session.apply import apply, leave_as_found
 from commissioning.session.desk import Desk
 from commissioning.session.verify import provable, verify
-from profiles.errors import PreflightRefused, TwoRelayError
+from profiles.errors import Interrupted, PreflightRefused, TwoRelayError
 from profiles.library import load_profile
 
 __all__ = ["prove_and_store"]
@@ -38,19 +39,19 @@ def prove_and_store(run: str, desk: Desk, show: Show, limits: dict[str, Any]) ->
         apply(run, None, desk, show, prove_first=True)
         return verify(run, None, desk, limits, unproved=True)
     except BaseException as error:
-        with desk.interruption.deferred():
-            became = leave_as_found(run, desk)
+        with contextlib.suppress(Interrupted), desk.interruption.deferred():
+            became, left = leave_as_found(run, desk)
             if became:
-                _note(folder, became)
+                _note(folder, became, left)
         if became and isinstance(error, TwoRelayError):
             error.args = (f"{error}; {became}",)
         raise
 
 
-def _note(folder: RunFolder, text: str) -> None:
-    """What the result keeps of a proof that was not reached."""
+def _note(folder: RunFolder, text: str, left: tuple[str, ...]) -> None:
+    """What the result keeps of a proof that was not reached; `left`: parameters that are not back."""
     result = folder.result()
     for item in result["compensation"]:
-        item["written"] = False
+        item["written"] = item["parameter"] in left
     result.setdefault("notes", []).append(text)
     folder.save(result, None, None)

@@ -41,6 +41,7 @@ from profiles.axis import Axis
 from profiles.errors import (
     DriveFault,
     EnvelopeTripped,
+    FeedbackReversed,
     MeasurementRejected,
     PreflightRefused,
     TwoRelayError,
@@ -149,8 +150,9 @@ class Measurement:
         """Follow a path in position mode; its samples are no part of the torque record."""
         envelope = replace(self.envelope, cautious=False, rated=inf, thermal=inf, bias=nan)
         self._prepare(Mode.POSITION)
+        here = self.drive.read("position_actual")
         return run(
-            track(self.context, path), self.drive, envelope, Recorder(), self.desk.interruption,
+            track(self.context, path, here), self.drive, envelope, Recorder(), self.desk.interruption,
             mode=Mode.POSITION, guardian=self.guardian,
         )  # fmt: skip
 
@@ -315,7 +317,7 @@ class Measurement:
         try:
             return self.run(plan)
         except EnvelopeTripped as error:
-            if self.drive.is_energised():
+            if isinstance(error, FeedbackReversed) or self.drive.is_energised():
                 raise
             raise MeasurementRejected(str(error)) from None
 

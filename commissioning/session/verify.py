@@ -143,6 +143,11 @@ def provable(profile: Profile) -> None:
             f"profile '{profile.name}' has no position mode in which its compensation acts, so it "
             "cannot be seen at work here: watch the following error in the machine's own controller"
         )
+    if profile.compensation.acts_stored:
+        raise PreflightRefused(
+            f"the compensation of profile '{profile.name}' acts only once it is stored, so it cannot be "
+            "tried step by step: watch the following error in the machine's own controller"
+        )
 
 
 def _look(drive: Drive, axis: Axis, options: Options, desk: Desk, record: RunRecord) -> None:
@@ -174,7 +179,7 @@ def _with_steps(
     """The steps in their order, and the one that stays."""
     drive, journal, run = job.drive, job.desk.journal, job.settings.run
     names = [item["parameter"] for item in result["compensation"]]
-    was = {name: drive.read_raw(name) for name in names}
+    was, had = {name: drive.read_raw(name) for name in names}, journal.memory(run)
     try:
         steps, kept = job.within_settings(lambda: _raise(job, result))
         old = {item["parameter"]: int(item["old_raw"]) for item in result["compensation"]}
@@ -187,18 +192,29 @@ def _with_steps(
             if kept is not None and (final != was or memory != STORED):
                 store(drive, job.desk, run, final)
             elif kept is None and memory in (STORED, STORING):
-                store(drive, job.desk, run, final, RESTORED)
+                others = [
+                    intent
+                    for intent in journal.intents(run, open_only=True)
+                    if intent.kind != "experiment" and intent.parameter not in final
+                ]
+                store(drive, job.desk, run, final, STORED if others else RESTORED)
             if kept is None:
                 done = [i.seq for i in journal.intents(run, open_only=True) if i.parameter in final]
                 journal.settle(done, "restored")
-    except TwoRelayError as error:
+    except BaseException as error:
         if not unproved:
             _go_back(job, was, error)
+            if journal.memory(run) != had and isinstance(error, TwoRelayError):
+                text = (
+                    f"{error}; the drive's memory may hold what was to stay: 'tworelay restore {run}' puts "
+                    "the old values back"
+                )
+                error.args = (text,)
         raise
     return steps, kept
 
 
-def _go_back(job: Measurement, was: Raw, error: TwoRelayError) -> None:
+def _go_back(job: Measurement, was: Raw, error: BaseException) -> None:
     """The values from before into the drive again; what cannot be done is added to `error`."""
     try:
         with job.desk.interruption.deferred(), job.settings.exclusive_access():
@@ -208,7 +224,8 @@ def _go_back(job: Measurement, was: Raw, error: TwoRelayError) -> None:
             f"{error}; the compensation is not back as it was: {second}; 'tworelay restore "
             f"{job.settings.run}' puts the old values back"
         )
-        error.args = (text,)
+        if isinstance(error, TwoRelayError):
+            error.args = (text,)
 
 
 def _write(job: Measurement, raw: Raw) -> None:

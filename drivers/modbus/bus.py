@@ -33,17 +33,20 @@ _ASKED_AGAIN = 0.05  # s
 MISSED_CYCLES = 3  # consecutive cycles without a sample are a lost link (safety, receive deadline)
 
 
-def identify(client: Client) -> Identity:
-    """Vendor, product and revision by FC 43/14; a drive without it has empty ones."""
+def identify(client: Client, patience: float = LinkDefaults().patience) -> Identity:
+    """Vendor, product and revision by FC 43/14; a drive without it has empty ones.
+
+    `patience` : s for a drive that is busy; with none, it is one without it
+    """
 
     def wait() -> float:
         sleep(_ASKED_AGAIN)
         return _ASKED_AGAIN
 
     try:
-        found = patiently(client.identification, LinkDefaults().patience, wait)
+        found = patiently(client.identification, patience, wait)
     except AccessDenied as error:
-        if error.busy:
+        if error.busy and patience:
             raise
         found = {}
     return Identity(
@@ -93,7 +96,7 @@ class ModbusBus:
 
     def identify(self) -> Identity:
         """Ask the drive who it is."""
-        return identify(self._client)
+        return identify(self._client, self._profile.link.patience)
 
     def read(self, address: Address) -> int:
         """Raw value; raises LinkError, AccessDenied."""

@@ -420,12 +420,23 @@ def test_a_guardian_that_stopped_the_axis_is_not_one_that_ended(
     guardian = Guardian(commissioning.guardian._process({})[0])
     assert guardian.acted() == ""
     guardian._line = Broken()
-    with pytest.raises(DriveFault, match=r"^the guardian process stopped the axis: silent$"):
-        guardian.feed()
+    with pytest.raises(DriveFault, match="the guardian process has ended"):
+        guardian.feed()  # nothing is waited for before the axis is stopped
     assert noted(guardian) == [
         "the guardian process stopped the axis: silent", "guardian: at rest",
     ]  # fmt: skip
     guardian.dismiss()
+
+
+@pytest.mark.parametrize("word", ["arm", "feed"])
+def test_no_command_goes_out_beside_the_stop_of_a_guardian(word: str) -> None:
+    """It said why before it stopped the drive; a loop that comes back would enable it again."""
+    guardian = Guardian()
+    getattr(guardian, word)()
+    guardian.said.append("silent")
+    with pytest.raises(DriveFault, match=r"^the guardian process stopped the axis: silent$"):
+        getattr(guardian, word)()
+    guardian.rest()
 
 
 def test_a_guardian_that_does_nothing_leaves_no_note() -> None:

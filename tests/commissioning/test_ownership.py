@@ -6,8 +6,8 @@ import contextlib
 import getpass
 import os
 import re
+import subprocess
 import sys
-import tempfile
 import threading
 import time
 import uuid
@@ -22,7 +22,7 @@ from commissioning.locks import FileLock, Lock, Taken, take
 from commissioning.ownership import announce, owned
 from drivers.places import buses
 from profiles.errors import Refused
-from tests.command import in_process
+from tests.command import ROOT, in_process
 from tests.conftest import Serve, Tworelay
 
 NOBODY = 65534
@@ -35,8 +35,9 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="abstract sockets are
 @pytest.fixture(autouse=True)
 def locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Where locks would be files."""
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    return tmp_path / "tworelay-locks"
+    folder = tmp_path / "tworelay-locks"
+    monkeypatch.setattr(commissioning.locks, "_FOLDER", folder)
+    return folder
 
 
 @pytest.fixture(params=["the system's", "a file"])
@@ -108,6 +109,7 @@ def test_a_job_owns_a_bus_around_its_steps() -> None:
         ("modbus-tcp://LOCALHOST.:1502", "modbus-tcp://[::ffff:127.0.0.1]:1502"),
         ("modbus-tcp://127.0.0.1", "modbus-rtu-tcp://127.0.0.1:502"),
         ("modbus-tls://127.0.0.1", "modbus-tcp://localhost:802"),
+        ("modbus-tcp://127.0.0.1:0502", "modbus-tcp://127.0.0.1"),
         ("modbus-tcp://0.0.0.0:1502", "modbus-tcp://127.0.0.1:1502"),
         ("modbus-tcp://[::1]:1502", "modbus-tcp://[0:0:0:0:0:0:0:1]:1502"),
         ("modbus-tcp://no.such.host.invalid:1", "modbus-tcp://NO.such.host.invalid:1?unit=3"),
@@ -206,7 +208,7 @@ def test_another_user_s_lock_is_held_and_free_again_after_it(
     folder.chmod(0o1777)
     for parent in [folder, *folder.parents][:-1]:
         parent.chmod(parent.stat().st_mode | 0o055)
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    monkeypatch.setattr(commissioning.locks, "_FOLDER", folder / "locks")
     name = f"test-{time.time_ns()}"
     mine: Lock = make(name, "mine")
     with as_nobody(), pytest.raises(Taken, match="user root, mine, since"):
@@ -304,12 +306,24 @@ def test_whatever_opens_a_link_asks_and_stop_does_not(serve: Serve, tworelay: Tw
         assert tworelay(*words).returncode == 0, words
 
 
-def test_a_lock_ends_with_its_process(serve: Serve) -> None:
-    """By another process, which holds it as long as it lives."""
+def test_a_lock_ends_with_its_process_however_it_ends(serve: Serve) -> None:
+    """By a process that holds it, and is killed."""
     link = serve("bench", "--modbus-tcp", "127.0.0.1:0", "--clock", "step")[0]
-    with owned(link, "here"):
+    hold = (
+        "from commissioning.ownership import owned\n"
+        f"with owned({link!r}, 'there'): print('ready', flush=True); input()"
+    )
+    holder = subprocess.Popen(
+        [sys.executable, "-c", hold], cwd=ROOT, text=True,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+    )  # fmt: skip
+    with holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "ready\n"
         refused = in_process("scan", link)
-    assert refused.returncode == 3
-    assert f"process {os.getpid()}" in refused.stderr
+        assert refused.returncode == 3
+        assert re.search(rf"\(process {holder.pid}, user \S+, there, since", refused.stderr)
+        assert in_another_thread(link)
+        holder.kill()
     assert in_process("scan", link, "--units", "1-1").returncode == 0
     assert not in_another_thread(link)

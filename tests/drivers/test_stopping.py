@@ -48,10 +48,14 @@ class Motor:
         self._rests_after, self._obeys = rests_after, obeys
         self.lent: int | None = 7
         self.halted: Callable[[int], int] = lambda waits: 0  # what 'until' looks at
+        self.reads = 0
+        self.busy: set[str] = set()  # what it has no time for, as it says
+        self.slow = 0.0  # s that a read takes
 
     # -- the bus ---------------------------------------------------------------------------------
 
     def post(self, address: Address, raw: int) -> None:
+        self._has_time("post")
         self.posts.append((self._names[str(address)], raw))
         if "post" in self.broken:
             raise LinkLost("cable")
@@ -59,6 +63,8 @@ class Motor:
             self.energised = False
 
     def read(self, address: Address) -> int:
+        self.reads += 1
+        self._has_time("read")
         if address != self.position_at:
             return self.halted(self.waits)
         if "read" in self.broken:
@@ -74,8 +80,12 @@ class Motor:
         if self._rests_after is not None and self.waits >= self._rests_after:
             self.energised = False
 
+    def _has_time(self, what: str) -> None:
+        if what in self.busy:
+            raise AccessDenied("exception 6", busy=True)
+
     def now(self) -> float:
-        return 7.0 + 0.005 * self.waits
+        return 7.0 + 0.005 * self.waits + self.slow * (self.reads + self.looks)
 
     def descriptor(self) -> int | None:
         return self.lent
@@ -90,6 +100,7 @@ class Motor:
 
     def is_energised(self) -> bool:
         self.looks += 1
+        self._has_time("look")
         if "look" in self.broken:
             raise LinkLost("silent")
         return self.energised
@@ -330,16 +341,94 @@ def test_a_wait_in_vain_is_told_and_the_energy_goes_all_the_same() -> None:
 def test_in_a_hurry_no_step_is_waited_for() -> None:
     motor = Motor(WAITING, rests_after=0)
     motor.stop(hurry=lambda: True)
-    assert motor.waits == 0
+    assert (motor.waits, motor.reads) == (0, 0), "a read takes its time-out where nobody answers"
 
 
-def test_frames_wait_the_longest_that_a_step_may_take_and_only_the_last_time() -> None:
+def test_frames_wait_the_longest_that_a_step_may_take_before_the_next_one() -> None:
     motor = Motor(WAITING)
     frames = motor.path().frames(motor.rest())
     assert frames is not None
     first, halt, key = b"torque_target=5", b"halt=1", b"key_1=3"
-    once = [(first, 0.03), (halt, 0.03), (key, 0.03)]
     assert frames.frames == (
-        *once, *once, (first, 0.03), (halt, 0.1), (key, WAITING.stop_time),
+        *[(first, 0.03), (halt, 0.03)] * 2, (first, 0.03), (halt, 0.1),
+        *[(key, 0.03)] * 2, (key, WAITING.stop_time),
         *[(b"key_2=0", 0.03), (b"halt=0", 0.03)] * 3,
     )  # fmt: skip
+
+
+def test_a_step_that_waits_may_be_the_last_one() -> None:
+    profile = TWO_KEY.model_copy(
+        update={"disable": (*TWO_KEY.disable, Step(until="store_state", equals=0, within=0.2))}
+    )
+    motor = Motor(profile)
+    frames = motor.path().frames(motor.rest())
+    assert frames is not None
+    assert frames.frames[-2:] == ((b"key_2=0", 0.03), (b"halt=0", 0.2))
+
+
+# -- a drive that has no time, or takes it --------------------------------------------------------------
+
+
+class Hectic(Motor):
+    """Busy until it was asked so often."""
+
+    def __init__(self, what: str, times: int) -> None:
+        super().__init__(TWO_KEY, motion=[20.0] * 20, rests_after=12)
+        self.busy.add(what)
+        self.left = times
+
+    def _has_time(self, what: str) -> None:
+        if what in self.busy and self.left > 0:
+            self.left -= 1
+            super()._has_time(what)
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_a_busy_answer_to_a_look_tells_nothing(times: int) -> None:
+    motor = Hectic("look", times)
+    report, done = motor.stop()
+    assert motor.waits == 12, "it brakes to its end"
+    assert report == StopReport(True)
+    assert done == ["rested"]
+
+
+def test_a_drive_that_is_busy_after_the_stop_is_asked_again() -> None:
+    motor = Hectic("look", 3)
+    report, _ = motor.stop(hurry=lambda: True)
+    assert report == StopReport(True)
+    assert motor.waits == 3
+
+
+def test_a_stop_that_a_busy_drive_refuses_is_said_again() -> None:
+    motor = Hectic("post", 2)
+    report, _ = motor.stop()
+    assert motor.posts == [REST, HALT, ("key_2", 0), ("halt", 0)]
+    assert report == StopReport(True)
+
+
+def test_energy_that_a_busy_drive_keeps_is_taken_as_soon_as_it_has_time() -> None:
+    motor = Hectic("post", 10)
+    report, _ = motor.stop(hurry=lambda: True)
+    assert motor.posts == [("key_2", 0), ("halt", 0)], "and no quick stop after it"
+    assert report == StopReport(True)
+    assert motor.waits == 4
+
+
+def test_a_wait_for_a_busy_drive_goes_on() -> None:
+    motor = Hectic("read", 4)
+    motor.profile = WAITING
+    motor.halted = lambda waits: 6
+    motor.stop()
+    assert motor.posts[:3] == [REST, HALT, ("key_1", 3)]
+
+
+def test_time_is_counted_and_not_looks() -> None:
+    """Reads of 20 ms each: a stop of 1 s is one of 1 s, and not of 200 looks."""
+    motor = Motor(CANOPEN, motion=[9.0] * 500)
+    motor.slow = 0.02
+    motor.stop()
+    assert motor.now() - 7.0 == pytest.approx(CANOPEN.stop_time, abs=0.1)
+    waiting = Motor(WAITING, rests_after=0)
+    waiting.slow = 0.02
+    waiting.stop()
+    assert waiting.now() - 7.0 == pytest.approx(0.1, abs=0.1)

@@ -16,7 +16,7 @@ from drivers.canopen.bus import CanopenBus, sync_period
 from drivers.canopen.bus_state import BUS_OFF, NO_ACK, PASSIVE, words
 from drivers.canopen.wire import CanWire, NoAnswer, open_bus
 from drivers.pace import WallPace
-from profiles.errors import AccessDenied, LinkLost, TwoRelayError, UsageError
+from profiles.errors import AccessDenied, LinkLost, TwoRelayError, UsageError, WriteDenied
 from profiles.library import load_profile
 
 Frame = tuple[int, str]
@@ -202,6 +202,36 @@ def test_a_node_that_answers_nonsense_is_no_traceback() -> None:
         node, _ = wire(lambda cob_id, data, c=command: [(0x585, f"{c:02X} 41 60 00 37 02 00 00")])  # type: ignore[misc]
         with suppress(TwoRelayError):
             node.upload(0x6041, 0)
+
+
+@pytest.mark.parametrize(
+    ("code", "busy"),
+    [
+        ("20 00 00 08", True), ("21 00 00 08", True), ("22 00 00 08", True),
+        ("23 00 00 08", False), ("00 00 02 06", False), ("30 00 09 06", False), ("00 00 04 05", False),
+    ],
+)  # fmt: skip
+def test_aborts_that_may_be_otherwise_a_little_later(code: str, busy: bool) -> None:
+    """CiA 301, 7.2.4.3.17: of the application, local control, the present device state."""
+    node, _ = wire(scripted(f"80 71 60 00 {code}", f"80 71 60 00 {code}"))
+    with pytest.raises(AccessDenied) as read:
+        node.upload(0x6071, 0)
+    assert not isinstance(read.value, WriteDenied)
+    with pytest.raises(WriteDenied) as written:
+        node.download(0x6071, 0, b"\0\0")
+    assert read.value.busy is written.value.busy is busy
+
+
+def test_a_node_that_stores_may_take_longer_to_answer() -> None:
+    node, peer = wire(lambda cob_id, data: [])
+    node._sdo.RESPONSE_TIMEOUT = 0.01
+    late = threading.Timer(0.2, peer.say, (0x585, "60 10 10 01 00 00 00 00"))
+    late.start()
+    with node.answering_within(20.0):
+        node.download(0x1010, 1, b"save")
+    late.join()
+    with pytest.raises(NoAnswer):
+        node.upload(0x6041, 0)
 
 
 # -- the cycle ----------------------------------------------------------------------------------------

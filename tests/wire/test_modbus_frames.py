@@ -9,12 +9,13 @@ from contextlib import contextmanager
 
 import pytest
 
-from drivers.modbus.bus import ModbusBus
+from drivers.modbus.bus import ModbusBus, identify
 from drivers.modbus.client import Client, NoAnswer
 from drivers.modbus.wires import TcpWire
 from drivers.pace import WallPace
-from profiles.errors import AccessDenied, LinkError, LinkLost
+from profiles.errors import AccessDenied, DriveFault, LinkError, LinkLost
 from profiles.library import load_profile
+from profiles.schema import Identity
 
 
 @contextmanager
@@ -182,4 +183,61 @@ def test_bits_leave_the_rest_of_their_register_alone(function: int) -> None:
         bus = ModbusBus(client, profile, WallPace(0.01))
         bus.write(address, 1)
         bus.post(address, 0)
+        bus.close()
+
+
+@pytest.mark.parametrize("code", range(1, 12))
+def test_acknowledge_and_busy_are_not_yet_and_any_other_exception_is_no(code: int) -> None:
+    """Modbus application protocol 7: 05 acknowledge, 06 server device busy."""
+    request = "00 01 00 00 00 06 01 03 03 00 00 02"
+    with peer([(request, f"00 01 00 00 00 03 01 83 {code:02X}")]) as (port, _):
+        client = Client(TcpWire("127.0.0.1", port), 1, 1.0)
+        with pytest.raises(AccessDenied) as caught:
+            client.read(3, 0x0300, 2)
+        assert caught.value.busy is (code in (5, 6))
+        client.close()
+
+
+WHO = "00 {:02X} 00 00 00 05 01 2b 0e 01 00".lower()
+BUSY = "00 {:02X} 00 00 00 03 01 AB 06"
+
+
+def test_a_busy_drive_is_asked_again_who_it_is() -> None:
+    named = "00 02 00 00 00 0B 01 2B 0E 01 01 00 00 01 00 01 41"
+    script = [(WHO.format(1), BUSY.format(1)), (WHO.format(2), named)]
+    with peer(script) as (port, _):
+        client = Client(TcpWire("127.0.0.1", port), 1, 1.0)
+        assert identify(client, 5.0).vendor == "A"
+        client.close()
+
+
+def test_who_it_is_keeps_nobody_from_stopping_a_busy_drive() -> None:
+    with peer([(WHO.format(1), BUSY.format(1))]) as (port, _):
+        client = Client(TcpWire("127.0.0.1", port), 1, 1.0)
+        assert identify(client, 0.0) == Identity(vendor="", product="", revision="", serial="")
+        client.close()
+
+
+CYCLE = "00 {:02x} 00 00 00 11 01 17 02 00 00 05 01 00 00 03 06 00 00 00 00 00 00"
+
+
+def test_a_busy_answer_to_the_cycle_is_a_missed_one() -> None:
+    answer = "00 02 00 00 00 0D 01 17 0A 12 37 00 00 00 00 00 00 00 00"
+    script = [(CYCLE.format(1), "00 01 00 00 00 03 01 97 06"), (CYCLE.format(2), answer)]
+    with peer(script) as (port, _):
+        client = Client(TcpWire("127.0.0.1", port), 1, 1.0)
+        bus = ModbusBus(client, load_profile("virtual-modbus"), WallPace(0.005))
+        assert bus.exchange((0, 0)).missed == 1
+        bus.close()
+
+
+def test_a_refused_cycle_is_a_fault_of_the_drive() -> None:
+    with peer([(CYCLE.format(1), "00 01 00 00 00 03 01 97 02")]) as (port, _):
+        client = Client(TcpWire("127.0.0.1", port), 1, 1.0)
+        bus = ModbusBus(client, load_profile("virtual-modbus"), WallPace(0.005))
+        with pytest.raises(
+            DriveFault, match=r"the drive refuses the cycle: .* exception 2"
+        ) as caught:
+            bus.exchange((0, 0))
+        assert caught.value.exit_code == 5
         bus.close()

@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 from tests.faults.proxy import WIRES, Way
@@ -82,8 +83,11 @@ def main() -> int:
     random.Random(0).shuffle(chunks)
     failed: list[str] = []
     done: Counter[str] = Counter()
-    with multiprocessing.get_context("spawn").Pool(_A_CORE * (os.cpu_count() or 1)) as pool:
-        for wire, some, failures in pool.imap_unordered(_held, chunks):
+    workers = _A_CORE * (os.cpu_count() or 1)
+    # its workers may have children: the served drives
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        for ended in as_completed(pool.submit(_held, chunk) for chunk in chunks):
+            wire, some, failures = ended.result()
             done[wire] += len(some)
             failed += failures
             out.write("".join(f"  {text}\n" for text in failures))

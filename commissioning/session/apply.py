@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +25,15 @@ from profiles.errors import (
 )
 from profiles.schema import Profile, Protection, Trust, Unit
 
-__all__ = ["apply", "axis_of_run", "leave_as_found", "restore", "stop", "store", "unverified"]
+__all__ = [
+    "apply",
+    "axis_of_run",
+    "leave_as_found",
+    "restore",
+    "stop",
+    "store",
+    "unverified",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +132,9 @@ def apply(
             desk.tell(drive.profile.compensation.note)
         if any(w.old != w.new for w in wanted) or not stored:
             desk.agree(f"These values will be WRITTEN to axis '{axis.name}' {then}.", axis.name)
-            with desk.interruption.deferred():
+            # whoever wants a proof puts them back
+            advising = contextlib.nullcontext() if prove_first else _advising(run_id)
+            with desk.interruption.deferred(), advising:
                 _write(drive, desk, run_id, wanted, stores=stores)
         else:
             desk.tell("the drive has these values already")
@@ -196,21 +207,24 @@ def _gain_changes(tuned: dict[str, Any]) -> list[dict[str, Any]]:
 def _write(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted], *, stores: bool) -> None:
     """RAM first, each read back; then store once, other masters no longer locked out; then read again."""
     settings = Settings(desk.journal, run_id, drive)
+    with settings.exclusive_access():
+        for item in wanted:
+            if desk.interruption.hurried():
+                desk.interruption.check()
+            if settings.write(item.kind, item.parameter, item.new):
+                desk.tell(f"{item.parameter}: {item.old} → {item.new}, read back")
+    if stores:
+        store(drive, desk, run_id, {item.parameter: item.new for item in wanted})
+
+
+@contextlib.contextmanager
+def _advising(run: str) -> Generator[None]:
+    """What to do about writes that are broken off, added to the error."""
     try:
-        with settings.exclusive_access():
-            for item in wanted:
-                if desk.interruption.hurried():
-                    desk.interruption.check()
-                if settings.write(item.kind, item.parameter, item.new):
-                    desk.tell(f"{item.parameter}: {item.old} → {item.new}, read back")
-        if stores:
-            store(drive, desk, run_id, {item.parameter: item.new for item in wanted})
+        yield
     except TwoRelayError as error:
-        text = (
-            f"{error}; what was written so far is in the journal: 'tworelay restore {run_id}' puts "
-            "the old values back"
-        )
-        error.args = (text,)
+        way = f"'tworelay restore {run}' puts the old values back"
+        error.args = (f"{error}; what was written so far is in the journal: {way}",)
         raise
 
 
@@ -244,9 +258,10 @@ def store(
         there = drive.read_raw(name)
         if there != raw:
             raise WriteFailed(f"'{name}' reads {there} after the store, not {raw}")
+    what = "the old values are stored" if text == RESTORED else "stored"
     desk.tell(
-        "stored in the drive's non-volatile memory, read back again (store "
-        f"{before + 1} of this drive from here; such a memory takes about {most})"
+        f"{what} in the drive's non-volatile memory, read back again (store {before + 1} of this drive from "
+        f"here; such a memory takes about {most})"
     )
 
 
@@ -281,7 +296,11 @@ def restore(run: str | None, link: str | None, desk: Desk, *, force: bool) -> Re
 def _put_all_back(drive: Drive, desk: Desk, run_id: str, *, force: bool) -> Restored:
     """Everything that a run changed in the connected drive; raises WriteFailed, PreflightRefused."""
     if drive.is_energised():
-        raise PreflightRefused("the drive is enabled: 'tworelay stop' makes it safe, then restore")
+        profile = RunFolder.of(desk.journal, run_id).profile_path()
+        raise PreflightRefused(
+            f'the drive is enabled: \'tworelay stop "{drive.link}" --profile "{profile}"\' makes it safe, '
+            f"then 'tworelay restore {run_id}'"
+        )
     intents = desk.journal.intents(run_id, open_only=True)
     settings = Settings(desk.journal, run_id, drive)
     with settings.exclusive_access():
@@ -338,8 +357,9 @@ def leave_as_found(run: str, desk: Desk) -> tuple[str, tuple[str, ...]]:
         left = tuple(dict.fromkeys(i.parameter for i in intents))
         if isinstance(error, _Incomplete):
             left = error.left
+        why = "the drive cannot be reached" if isinstance(error, LinkError) else str(error)
         way = f"'tworelay restore {run}' puts the old values back"
-        return f"NOT put back: {', '.join(left)} ({error}); {way}", left
+        return f"NOT put back: {', '.join(left)} ({why}); {way}", left
     return f"the drive is as it was found ({outcome})", ()
 
 

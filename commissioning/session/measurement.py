@@ -142,8 +142,6 @@ class Measurement:
             failure = error
             raise
         finally:
-            with contextlib.suppress(TwoRelayError), self.desk.interruption.deferred():
-                self._clear_own_fault()
             self._put_back(failure)
 
     def follow(self, path: TrackingPath) -> TrackingSamples:
@@ -158,10 +156,15 @@ class Measurement:
 
     def _put_back(self, error: BaseException | None) -> None:
         with self.desk.interruption.deferred():
+            with contextlib.suppress(TwoRelayError):
+                self._clear_own_fault()
             outcome = self.settings.restore()
             if outcome.complete:
                 return
-            text = f"settings of the experiment are not all back: {outcome}; 'tworelay restore' tries again"
+            text = (
+                f"settings of the experiment are not all back: {outcome}; 'tworelay restore "
+                f"{self.settings.run}' tries again"
+            )
             if error is None:
                 raise WriteFailed(text)
             if isinstance(error, TwoRelayError):

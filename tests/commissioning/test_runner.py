@@ -157,9 +157,15 @@ def test_a_drive_that_stops_by_itself_ends_the_plan_and_says_why(
 
     monkeypatch.setattr(drive, "exchange", stopped)
     recorder = Recorder()
-    with pytest.raises(DriveFault, match="the drive stopped by itself: operation enabled"):
+    with pytest.raises(
+        DriveFault, match=r"in no fault \(it says: operation enabled.*'tworelay stop'"
+    ):
         run(push(), drive, WIDE, recorder, Interruption())
     assert len(recorder.samples) == 1, "the last sample is in the record"
+    with monkeypatch.context() as faulty:
+        faulty.setattr(drive, "in_fault", lambda: len(recorder.samples) > 1)
+        with pytest.raises(DriveFault, match="the drive stopped by itself: operation enabled"):
+            run(push(), drive, WIDE, recorder, Interruption())
     monkeypatch.setattr(drive, "status_text", lambda: _raise(LinkLost("cable")))
     with pytest.raises(DriveFault, match=r"left operation and cannot be asked why \(cable\)"):
         run(push(), drive, WIDE, Recorder(), Interruption())

@@ -462,3 +462,32 @@ def test_the_lock_on_other_masters_is_not_stored(
     assert tworelay("restore").returncode == 0
     assert tworelay("apply", "last", "--yes").returncode == 0
     assert locked == [3000, 3000]
+
+
+# -- a Ctrl-C at any moment ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["identify", "commission"])
+def test_a_ctrl_c_while_a_fault_is_cleared_is_not_lost(
+    link: str, tworelay: Tworelay, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    """It came at the end of the last step: the job stored, and ended with 0."""
+    clear, seen = Measurement._clear_own_fault, []
+
+    def pressed(job: Measurement) -> None:
+        seen.append(True)
+        if len(seen) == (
+            2 if command == "identify" else 3
+        ):  # the proof of the stop path is the first
+            os.kill(os.getpid(), signal.SIGINT)
+        clear(job)
+
+    monkeypatch.setattr(Measurement, "_clear_own_fault", pressed)
+    done = tworelay(command, link, *ASKED)
+    assert done.returncode == 130, done.stdout
+    assert "interrupted by SIGINT" in done.stderr
+    assert values(link) == FOUND
+    assert STORED not in events()
+    drive = open_drive(axis_of(link))
+    assert drive.read_raw("mode_of_operation") == 0, "the settings are back all the same"
+    drive.close()

@@ -130,8 +130,8 @@ def _fault_text(drive: Drive) -> str:
         state = drive.status_text()
         if not drive.in_fault():
             return (
-                f"the drive left operation and is in no fault (it says: {state}; a code may be older): was it "
-                "disabled from outside, by 'tworelay stop', another master, STO, an enable input or a limit "
+                f"the drive left operation and is in no fault (it says: {state}; a code may be older): was "
+                "it disabled from outside, by 'tworelay stop', another master, STO, an enable input or a limit "
                 "switch?"
             )
     except TwoRelayError as error:

@@ -131,7 +131,7 @@ def _fault_text(drive: Drive) -> str:
         if not drive.in_fault():
             return (
                 f"the drive left operation and is in no fault (it says: {state}; a code may be older): was "
-                "it disabled from outside, by 'tworelay stop', another master, STO, an enable input or a limit "
+                "it disabled from outside: 'tworelay stop', another master, STO, an enable input or a limit "
                 "switch?"
             )
     except TwoRelayError as error:

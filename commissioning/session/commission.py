@@ -41,17 +41,16 @@ def prove_and_store(run: str, desk: Desk, show: Show, limits: dict[str, Any]) ->
     except BaseException as error:
         with contextlib.suppress(Interrupted), desk.interruption.deferred():
             became, left = leave_as_found(run, desk)
-            if became:
-                _note(folder, became, left)
+            _note(folder, [f"not proved: {error}", became], left)
         if became and isinstance(error, TwoRelayError):
             error.args = (f"{error}; {became}",)
         raise
 
 
-def _note(folder: RunFolder, text: str, left: tuple[str, ...]) -> None:
+def _note(folder: RunFolder, texts: list[str], left: tuple[str, ...]) -> None:
     """What the result keeps of a proof that was not reached; `left`: parameters that are not back."""
     result = folder.result()
     for item in result["compensation"]:
         item["written"] = item["parameter"] in left
-    result.setdefault("notes", []).append(text)
+    result.setdefault("notes", []).extend(text for text in texts if text)
     folder.save(result, None, None)

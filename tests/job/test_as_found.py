@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from markupsafe import escape
 
 from commissioning.journal import RESTORED, STORED, STORING, Journal
 from commissioning.session.measurement import Measurement
@@ -133,8 +134,11 @@ def test_what_is_not_proved_does_not_stay(
     assert open_parameters() == set()
     assert events() == [], "nothing was stored"
     result = json.loads((tmp_path / "run.json").read_text())
-    (note,) = result["notes"]
+    cause, note = result["notes"]
+    assert cause.startswith(f"not proved: {error.args[0].partition(';')[0]}")
     assert note.startswith("the drive is as it was found")
+    (report,) = (home() / "runs").glob("*/report.html")
+    assert escape(note) in report.read_text("utf-8")
     assert not any(item["written"] for item in result["compensation"])
     assert tworelay("restore").stdout.strip() == "nothing to restore"
 

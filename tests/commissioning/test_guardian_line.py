@@ -199,6 +199,7 @@ def test_a_guardian_that_stopped_the_axis_is_not_one_that_ended(
         "print('ready', flush=True); import sys, time; sys.stdin.close(); time.sleep(0.2); "
         "print('silent'); print('at rest')",
     )
+    monkeypatch.setattr(commissioning.guardian, "_ENDING", _PATIENCE)
     guardian = Guardian(commissioning.guardian._process({})[0])
     assert guardian.acted() == ""
     guardian._line = Broken()

@@ -28,7 +28,7 @@ from tests.command import ROOT
 from tests.conftest import Serve, Tworelay
 
 NAMES = ("torque_offset", "coulomb_positive", "coulomb_negative", "viscous_gain")
-ASKED = ("--travel", "3", "--yes", "--method", "modulating")
+ASKED = ("--travel", "3", "--yes", "--method", "modulating", "--cycle", "0.008")
 KNOWN = load_profile("virtual-modbus").parameters
 
 

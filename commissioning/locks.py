@@ -109,7 +109,7 @@ if sys.platform == "linux":
         def announce(self, doing: str) -> None:
             """Say it in the name of a socket, which every user can list."""
             told = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-            said = re.sub(r"[^\w.-]+", "-", doing, flags=re.ASCII)[:_LONGEST]
+            said = re.sub(r"[^\w. -]+", "-", doing, flags=re.ASCII)[:_LONGEST]
             with contextlib.suppress(OSError):  # it is only for those who are refused
                 told.bind(f"\0{self._name}.{os.getpid()}.{os.geteuid()}.{self._since:.0f}.{said}")
             if self._told is not None:
@@ -128,7 +128,7 @@ if sys.platform == "linux":
             names = Path("/proc/net/unix").read_text("utf-8", "replace")
         except OSError:
             names = ""
-        found = re.search(rf"@{re.escape(name)}\.(\d+)\.(\d+)\.(\d+)\.(\S*)", names)
+        found = re.search(rf"@{re.escape(name)}\.(\d+)\.(\d+)\.(\d+)\.(.*)", names)
         if found is None:
             return Owner(None, "", "", None)
         user = found[2]

@@ -77,7 +77,7 @@ def apply(
     """Write the proposal of `run` to its drive, read back, store; return the result JSON.
 
     `show` gets the proposal with the values that are in the drive now. `gains`: rule whose gains of the
-    drive's own loops are written, too. `prove_first`: nothing is stored, unless the values act only then.
+    drive's own loops are written, too. `prove_first`: nothing is stored.
     """
     run_id, folder = resolve(desk.journal, run)
     record, result = desk.journal.run(run_id), folder.result()

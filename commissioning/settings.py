@@ -32,7 +32,7 @@ class Restored:
         if self.restored:
             parts.append("restored " + _listed(self.restored))
         if self.already:
-            parts.append("already as before " + _listed(self.already))
+            parts.append("at their old values already " + _listed(self.already))
         for what, found in (("skipped", self.skipped), ("failed", self.failed)):
             for why in dict.fromkeys(found.values()):
                 names = [name for name in found if found[name] == why]

@@ -127,7 +127,9 @@ class Client:
         except (ModbusException, OSError) as error:
             if isinstance(error, OSError):
                 self._drop()
-                raise LinkLost(f"the connection to {self.where} broke: {error}") from None
+                raise LinkLost(
+                    f"the connection to {self.where} broke: {error.strerror or error}"
+                ) from None
             if self._heard:
                 raise NoAnswer(
                     f"{self.where} answers, but not to what was asked ({self._heard} bytes within "

@@ -303,7 +303,7 @@ def test_what_was_reached_is_said_in_one_line() -> None:
         )
     )  # fmt: skip
     assert text == (
-        "restored a, PDO parameters; already as before b; skipped c (why); "
+        "restored a, PDO parameters; at their old values already b; skipped c (why); "
         "failed d, f (x); failed e (y)"
     )
 

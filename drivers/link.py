@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Link",
     "axis_of",
+    "host_and_port",
     "is_simulated",
     "modbus_wire",
     "open_can",
@@ -260,6 +261,14 @@ def _open_modbus(
         raise
 
 
+def host_and_port(link: Link) -> tuple[str, str]:
+    """Of a Modbus LINK over TCP, as they are written; without a port, the protocol's own."""
+    host, colon, port = link.place.rstrip("/").rpartition(":")
+    if not colon:
+        return port, str(_SECURE_PORT if link.scheme == "modbus-tls" else _MODBUS_PORT)
+    return host, port
+
+
 def modbus_wire(link: Link, profile: Profile | None) -> Wire:
     """Where a Modbus LINK leads; raises UsageError."""
     from drivers.modbus.wires import RtuLine, TcpWire, Tls
@@ -282,9 +291,7 @@ def modbus_wire(link: Link, profile: Profile | None) -> Wire:
         return RtuLine(port, baudrate or _BAUDRATE, parity, stopbits or 1, gap, stepping)
     secure = link.scheme == "modbus-tls"
     _only(link, common | ({"ca", "cert", "key"} if secure else set()))
-    host, colon, port = link.place.rstrip("/").rpartition(":")
-    if not colon:
-        host, port = port, str(_SECURE_PORT if secure else _MODBUS_PORT)
+    host, port = host_and_port(link)
     if not host or not port.isdigit() or not 0 < int(port) < 65536:
         raise UsageError(f"{link.text}: a Modbus link is {link.scheme}://HOST:PORT?unit=N")
     tls = None

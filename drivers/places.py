@@ -12,12 +12,11 @@ from ipaddress import ip_address
 from pathlib import Path
 from urllib.parse import unquote
 
-from drivers.link import Link, parse
+from drivers.link import Link, host_and_port, parse
 
 __all__ = ["buses"]
 
 _WINDOWS_PORT = re.compile(r"(?:\\\\\.\\)?(com\d+)", re.IGNORECASE)
-_PORTS = {"modbus-tcp": "502", "modbus-rtu-tcp": "502", "modbus-tls": "802"}
 
 
 def buses(text: str) -> tuple[str, ...]:
@@ -32,10 +31,7 @@ def buses(text: str) -> tuple[str, ...]:
         return (_serial(unquote(link.place)),)
     if link.scheme == "canopen":
         return _can(link)
-    host, colon, port = link.place.rstrip("/").rpartition(":")
-    if not colon:
-        host, port = port, _PORTS[link.scheme]
-    return _at(host, port)
+    return _at(*host_and_port(link))
 
 
 def _can(link: Link) -> tuple[str, ...]:

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Literal
 
 from drivers.home import home
-from drivers.link import Link, modbus_wire, open_can, parse
+from drivers.link import modbus_wire, open_can
+from drivers.link_text import Link, parse
 from profiles.errors import LinkError, TwoRelayError
 
 __all__ = ["Finding", "of_link", "of_machine"]

@@ -1,15 +1,14 @@
-"""LINK → Drive. A link is a URL; the axis and the profile say the rest."""
+"""LINK → Drive. The axis and the profile say what the link does not."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import parse_qsl, unquote, urlsplit
 
 from drivers.drive import Bus
 from drivers.home import home
+from drivers.link_text import Link, host_and_port, is_simulated, parse
 from drivers.pace import Pace, StepPace, WallPace
 from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis, AxisLimits, Mechanics
@@ -32,83 +31,10 @@ __all__ = [
     "parse",
 ]
 
-SCHEMES = ("virtual", "modbus-tcp", "modbus-rtu", "modbus-rtu-tcp", "modbus-tls", "canopen")
-_MODBUS_PORT, _SECURE_PORT = 502, 802
 _BAUDRATE = 115200
 _CONNECT_TIMEOUT = 3.0  # s
 
 Trace = Callable[..., None]
-
-
-@dataclass(frozen=True, slots=True)
-class Link:
-    """A parsed LINK.
-
-    `place` is what stands between `://` and `?`, decoded; `options` what follows it.
-    """
-
-    text: str
-    scheme: str
-    place: str
-    options: dict[str, str]
-
-    def integer(self, key: str, low: int, high: int) -> int | None:
-        """Option `key` as a whole number in low…high, or None."""
-        text = self.options.get(key)
-        if text is None:
-            return None
-        if not text.isdigit() or not low <= int(text) <= high:
-            raise UsageError(f"{self.text}: {key}={text} must be a whole number {low}…{high}")
-        return int(text)
-
-
-def parse(text: str) -> Link:
-    """Split a LINK; raises UsageError."""
-    if text.startswith("modbus-rtu:") and "://" not in text:  # modbus-rtu:COM5
-        head, _, tail = text.partition(":")
-        return replace(parse(f"{head}:///{tail}"), text=text, place=tail.partition("?")[0])
-    try:
-        parts = urlsplit(text)
-    except ValueError as error:
-        raise UsageError(f"'{text}' is no link: {error}") from None
-    if parts.scheme not in SCHEMES or "://" not in text:
-        known = ", ".join(f"{scheme}://" for scheme in SCHEMES)
-        raise UsageError(f"'{text}' is no link and no axis file; a link begins with {known}")
-    place = text.split("://", 1)[1].split("?", 1)[0]
-    if not text.isascii() or any(character.isspace() for character in text):
-        raise UsageError(f"{text!r}: a link has no spaces and only ASCII (write others as %XX)")
-    try:
-        options = dict(
-            parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
-        )
-    except ValueError:
-        raise UsageError(f"'{text}': options are written ?key=value&key=value") from None
-    return Link(text, parts.scheme, place, options)
-
-
-def is_simulated(text: str) -> bool:
-    """Whether a LINK leads to nothing real: virtual, loopback, or a pseudo-terminal."""
-    link = parse(text)
-    if link.scheme == "virtual":
-        return True
-    if link.scheme == "modbus-rtu":
-        return unquote(link.place).startswith("/dev/pts/")
-    if link.scheme == "canopen":
-        interface, _, channel = link.place.partition("/")
-        if interface == "virtual":
-            return True
-        if interface == "slcan":
-            return unquote(channel).startswith("/dev/pts/")
-        host = channel.partition("/")[0].rpartition(":")[0] if interface == "socketcand" else ""
-    else:
-        host = link.place.rpartition(":")[0] or link.place
-    from ipaddress import ip_address
-
-    host = host.strip("[]")
-    try:
-        return host == "localhost" or ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def axis_of(link_text: str) -> Axis:
@@ -221,7 +147,7 @@ def _open_virtual(
     from drivers.virtual.memory import Memory
 
     virtual = _virtual_axis(link)
-    device = Device(Firmware(virtual, Memory(state_file(link))), "step")
+    device = Device(Firmware(virtual, Memory.at(state_file(link))), "step")
     if cycle is not None:
         device.cycle = round(cycle * 1e9)
     profile = profile or _armed_with(load_profile("virtual-modbus"), axis)
@@ -238,8 +164,9 @@ def _virtual_axis(link: Link) -> Any:
 
 def state_file(link: Link) -> Path:
     """Non-volatile memory of a virtual link: its `state`, else one a name and option set."""
-    if "state" in link.options:
-        return Path(link.options["state"])
+    named = link.options.get("state")
+    if named is not None:
+        return Path(named)
     virtual = _virtual_axis(link)
     return home() / "virtual" / f"{virtual.name}-{virtual.serial:08x}.json"
 
@@ -261,49 +188,27 @@ def _open_modbus(
         raise
 
 
-def host_and_port(link: Link) -> tuple[str, str]:
-    """Of a Modbus LINK over TCP, as they are written; without a port, the protocol's own."""
-    host, colon, port = link.place.rstrip("/").rpartition(":")
-    if not colon:
-        return port, str(_SECURE_PORT if link.scheme == "modbus-tls" else _MODBUS_PORT)
-    return host, port
-
-
 def modbus_wire(link: Link, profile: Profile | None) -> Wire:
-    """Where a Modbus LINK leads; raises UsageError."""
+    """Where a Modbus LINK leads."""
     from drivers.modbus.wires import RtuLine, TcpWire, Tls
 
-    common = {"unit", "timeout", "clock"}
-    stepping = link.options.get("clock") == "step"  # then no line is there that wants silence
-    gap = profile.link.silence if profile and not stepping else 0.0
+    gap = profile.link.silence if profile and not link.is_stepping else 0.0  # a line wants silence
     if link.scheme == "modbus-rtu":
-        _only(link, common | {"baudrate", "parity", "stopbits"})
-        defaults = profile.link if profile else None
-        parity = link.options.get("parity") or (defaults and defaults.parity) or "N"
-        port = unquote(link.place)
-        if not port.strip("/") or parity not in ("N", "E", "O"):
-            raise UsageError(
-                f"{link.text}: a serial link is modbus-rtu:///dev/ttyUSB0?baudrate=115200&parity=N&unit=1 "
-                "or modbus-rtu:COM5?…, parity N, E or O"
-            )
-        baudrate = link.integer("baudrate", 1200, 4_000_000) or (defaults and defaults.baudrate)
-        stopbits = link.integer("stopbits", 1, 2) or (defaults and defaults.stopbits)
-        return RtuLine(port, baudrate or _BAUDRATE, parity, stopbits or 1, gap, stepping)
-    secure = link.scheme == "modbus-tls"
-    _only(link, common | ({"ca", "cert", "key"} if secure else set()))
+        defaults = profile.link if profile else LinkDefaults()
+        return RtuLine(
+            link.device,
+            link.integer("baudrate", 1200, 4_000_000) or defaults.baudrate or _BAUDRATE,
+            link.options.get("parity") or defaults.parity or "N",
+            link.integer("stopbits", 1, 2) or defaults.stopbits or 1,
+            gap,
+            link.is_stepping,
+        )
     host, port = host_and_port(link)
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise UsageError(f"{link.text}: a Modbus link is {link.scheme}://HOST:PORT?unit=N")
     tls = None
-    if secure:
+    if link.scheme == "modbus-tls":
         files = {
             key: Path(link.options[key]) for key in ("ca", "cert", "key") if key in link.options
         }
-        if "ca" not in files or ("key" in files and "cert" not in files):
-            raise UsageError(
-                f"{link.text}: TLS needs ca=FILE, the authority that signed the drive's certificate, and "
-                "cert=FILE&key=FILE where the drive asks for ours"
-            )
         tls = Tls(files["ca"], files.get("cert"), files.get("key"))
     return TcpWire(host.strip("[]"), int(port), link.scheme == "modbus-rtu-tcp", tls, gap)
 
@@ -352,26 +257,12 @@ def stored_eds(text: str) -> bytes:
 
 def open_can(link: Link, profile: Profile | None = None) -> Any:
     """The CAN adapter that a LINK names, as python-can has it; raises UsageError, LinkError."""
-    _only(link, {"node", "bitrate", "timeout", "clock", "sync"})
-    if link.options.get("sync", "own") not in ("own", "bus") or (
-        "sync" in link.options and link.options.get("clock") == "step"
-    ):
-        raise UsageError(
-            f"{link.text}: sync is own (tworelay produces SYNC) or bus (another device does), and "
-            "goes without clock=step"
-        )
-    interface, slash, channel = link.place.partition("/")
-    if not slash or not channel:
-        raise UsageError(
-            f"{link.text}: a CANopen link is canopen://INTERFACE/CHANNEL?node=N, for example "
-            "canopen://socketcan/can0?node=5"
-        )
     from drivers.canopen.wire import open_bus
 
     bitrate = link.integer("bitrate", 10_000, 1_000_000)
     if bitrate is None:
         bitrate = profile.link.bitrate if profile and profile.link.bitrate else 500_000
-    return open_bus(interface, unquote(channel), bitrate, _timeout(link, profile))
+    return open_bus(link.interface, link.channel, bitrate, _timeout(link, profile))
 
 
 def _armed_with(profile: Profile, axis: Axis) -> Profile:
@@ -382,31 +273,14 @@ def _armed_with(profile: Profile, axis: Axis) -> Profile:
     return profile.model_copy(update={"watchdog": watchdog})
 
 
-def _only(link: Link, known: set[str]) -> None:
-    for key in link.options:
-        if key not in known:
-            raise UsageError(
-                f"{link.text}: no option '{key}'; there are: {', '.join(sorted(known))}"
-            )
-    if link.options.get("clock", "wall") not in ("wall", "step"):
-        raise UsageError(f"{link.text}: clock is wall or step")
-
-
 def _timeout(link: Link, profile: Profile | None) -> float:
-    text = link.options.get("timeout")
-    if text is None:
-        return profile.link.service_timeout if profile else _CONNECT_TIMEOUT / 3
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 < value <= 60:
-        raise UsageError(f"{link.text}: timeout={text} must be 0…60 s")
-    return value
+    if link.timeout is not None:
+        return link.timeout
+    return profile.link.service_timeout if profile else _CONNECT_TIMEOUT / 3
 
 
 def _pace(link: Link, cycle: float) -> Pace:
-    return StepPace(cycle) if link.options.get("clock") == "step" else WallPace(cycle)
+    return StepPace(cycle) if link.is_stepping else WallPace(cycle)
 
 
 def _agree(identity: Identity, bus: str, named: Profile | None) -> Profile:

@@ -10,9 +10,8 @@ import stat
 import sys
 from ipaddress import ip_address
 from pathlib import Path
-from urllib.parse import unquote
 
-from drivers.link import Link, host_and_port, parse
+from drivers.link_text import host_and_port, parse
 
 __all__ = ["buses"]
 
@@ -27,25 +26,16 @@ def buses(text: str) -> tuple[str, ...]:
     link = parse(text)
     if link.scheme == "virtual":  # it lives in this process
         return ()
-    if link.scheme == "modbus-rtu":
-        return (_serial(unquote(link.place)),)
-    if link.scheme == "canopen":
-        return _can(link)
-    return _at(*host_and_port(link))
-
-
-def _can(link: Link) -> tuple[str, ...]:
-    interface, _, channel = link.place.rstrip("/").partition("/")
-    channel = unquote(channel)
-    if interface == "slcan":
-        return (_serial(channel.partition("@")[0]),)  # python-can: PORT@BAUDRATE
-    if interface == "socketcand":
-        place, _, channel = channel.partition("/")
+    if link.device:
+        return (_serial(link.device),)
+    if link.scheme != "canopen":
+        return _at(*host_and_port(link))
+    if link.interface == "socketcand":
+        place, _, channel = link.channel.partition("/")
         host, _, port = place.rpartition(":")
         return tuple(f"{name} {channel}" for name in _at(host, port))
-    if interface == "virtual":  # python-can's lives in one process
-        return (f"can {interface} {channel} {os.getpid()}",)
-    return (f"can {interface} {channel}",)
+    mine = f" {os.getpid()}" if link.interface == "virtual" else ""  # python-can's: one process
+    return (f"can {link.interface} {link.channel}{mine}",)
 
 
 def _serial(port: str) -> str:

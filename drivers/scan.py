@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from drivers.link import Link, modbus_wire, open_can, parse
+from drivers.link import modbus_wire, open_can
+from drivers.link_text import Link, parse
 from profiles.errors import UsageError
 from profiles.library import builtin_names, load_profile
 from profiles.schema import Identity

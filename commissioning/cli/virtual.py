@@ -118,7 +118,7 @@ def serve_axis(
         if getattr(served, key):
             raise UsageError(f"{key} is for virtual:// links: a served drive has its wire's own")
     received = serve(
-        served, Memory(state or state_file(link)), endpoints, clock,
+        served, Memory.at(state or state_file(link)), endpoints, clock,
         click.echo,
     )  # fmt: skip
     sys.exit(128 + received)

@@ -12,7 +12,8 @@ from commissioning.journal import Journal
 from commissioning.ownership import announce, owned
 from commissioning.processes import is_alive, this_process
 from drivers.drive import Drive
-from drivers.link import is_simulated, open_drive
+from drivers.link import open_drive
+from drivers.link_text import is_simulated
 from profiles.axis import Axis
 from profiles.errors import IdentityMismatch, Refused
 from profiles.library import digest

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from profiles.eds import DATA_TYPES
+from profiles.plain import plain
 from profiles.schema import CanopenAddress, Profile
 
 __all__ = ["dcf"]
@@ -23,7 +24,7 @@ def dcf(profile: Profile, values: dict[str, int], node: int | None) -> str:
         digits = int(at.type[1:]) // 4
         found[at.index, at.sub] = "\n".join(
             (
-                f"ParameterName={parameter.title}",
+                f"ParameterName={plain(parameter.title)}",
                 "ObjectType=0x7",
                 f"DataType=0x{_DATA_TYPE[at.type]:04X}",
                 "AccessType=rw",
@@ -35,9 +36,9 @@ def dcf(profile: Profile, values: dict[str, int], node: int | None) -> str:
     vendor, product = profile.identity.vendor or "0x0", profile.identity.product or "0x0"
     lines = [
         "[FileInfo]", "FileVersion=1", "FileRevision=0", "EDSVersion=4.0",
-        "CreatedBy=tworelay", f"Description={profile.title}", "",
-        "[DeviceInfo]", f"VendorNumber={vendor}", f"ProductName={profile.name}",
-        f"ProductNumber={product}", "",
+        "CreatedBy=tworelay", f"Description={plain(profile.title)}", "",
+        "[DeviceInfo]", f"VendorNumber={plain(vendor)}", f"ProductName={profile.name}",
+        f"ProductNumber={plain(product)}", "",
     ]  # fmt: skip
     if node is not None:  # the standard's own spelling
         lines += ["[DeviceComissioning]", f"NodeID={node}", ""]

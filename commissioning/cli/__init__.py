@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from commissioning.child import shadow
+from commissioning.cli.output import document, say
 
 __all__ = ["main"]
 
@@ -77,27 +78,25 @@ def main() -> None:
             stream.reconfigure(errors="replace")  # an old code page must not end a job
     hidden = shadow(Path(__file__).resolve().parents[2])
     if hidden:
-        click.echo(f"tworelay: {hidden}", err=True)
+        say(f"tworelay: {hidden}", err=True)
         sys.exit(2)
     try:
         cli.main(standalone_mode=False)
     except click.exceptions.Exit as stop:
         sys.exit(stop.exit_code)
     except click.exceptions.Abort:
-        click.echo("tworelay: interrupted", err=True)
+        say("tworelay: interrupted", err=True)
         sys.exit(130)
     except click.exceptions.NoArgsIsHelpError as error:
-        click.echo(error.format_message())
+        document(error.format_message() + "\n")
         sys.exit(2)
     except click.ClickException as error:
         # click's own wording, on one line
         message = " ".join(error.format_message().split())
         where = getattr(error, "ctx", None)
         hint = f" Try '{where.command_path} --help'." if where is not None else ""
-        click.echo(f"tworelay: {message}{hint}", err=True)
+        say(f"tworelay: {message}{hint}", err=True)
         sys.exit(2)
-    except BrokenPipeError:
-        sys.exit(141)
     except Exception as error:
         sys.exit(_report_failure(error))
 
@@ -106,13 +105,13 @@ def _report_failure(error: Exception) -> int:
     from profiles.errors import TwoRelayError
 
     if isinstance(error, TwoRelayError):
-        click.echo(f"tworelay: {error}", err=True)
+        say(f"tworelay: {error}", err=True)
         return error.exit_code
     if "-v" in sys.argv or "--verbose" in sys.argv:
         import traceback
 
-        traceback.print_exc()
-    click.echo(
+        document(traceback.format_exc(), err=True)
+    say(
         f"tworelay: internal error ({type(error).__name__}: {error}); this is a bug: please report "
         "it with the output of the same command with -v",
         err=True,

@@ -30,7 +30,7 @@ def command(target: str, **arguments: Any) -> None:
     """
     from commissioning.cli import show
     from commissioning.cli.identify import measure
-    from commissioning.cli.report import write_report
+    from commissioning.cli.report import say_report
     from commissioning.ownership import owned
 
     check_json(arguments["json_target"])
@@ -48,7 +48,7 @@ def command(target: str, **arguments: Any) -> None:
             else:
                 screen.say(host_law(result["host_compensation"]))
         finally:
-            screen.say(f"report {write_report(result['run'], None)}")
+            say_report(result["run"], screen)
     screen.say(f"run {result['run']}")
     write_json(result, arguments["json_target"])
 

@@ -13,6 +13,7 @@ from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Screen
 from commissioning.interruption import Interruption
 from commissioning.processes import start
+from profiles.errors import LinkError
 
 __all__ = ["command"]
 
@@ -29,7 +30,7 @@ def command(clock: str) -> None:
     from commissioning.cli.apply import write
     from commissioning.cli.identify import command as identify
     from commissioning.cli.identify import measure
-    from commissioning.cli.report import write_report
+    from commissioning.cli.report import say_report
     from commissioning.cli.verify import prove
     from drivers.virtual.axes import AXES
 
@@ -46,23 +47,28 @@ def command(clock: str) -> None:
         try:
             link = server.stdout.readline().strip() if server.stdout else ""
             if not link:
-                raise RuntimeError("the virtual drive did not start")
+                raise LinkError(
+                    "the virtual drive of the demo did not start; its own line says why"
+                )
             truth = AXES[AXIS]
             screen.say(f"virtual drive '{AXIS}' serves {link}")
             arguments = [link, "--travel", "±3.14", "--cycle", "0.004", "--yes"]
-            screen.say("\n$ tworelay identify " + " ".join(arguments))
+            screen.say()
+            screen.say("$ tworelay identify " + " ".join(arguments))
             result = measure(link, screen, identify.make_context("identify", arguments).params)
             show.summary(result, screen)
             _against_truth(result, truth, screen)
-            screen.say(f"\n$ tworelay apply {result['run']} --yes")
+            screen.say()
+            screen.say(f"$ tworelay apply {result['run']} --yes")
             write(result["run"], None, screen, None)
-            screen.say(f"\n$ tworelay verify {result['run']} --yes")
+            screen.say()
+            screen.say(f"$ tworelay verify {result['run']} --yes")
             result = prove(result["run"], None, screen, None, {})
-            report = write_report(result["run"], None)
         finally:
             server.terminate()
-    screen.say(f"\nrun {result['run']}; to take it back: tworelay restore {result['run']}")
-    screen.say(f"report {report}")
+    screen.say()
+    screen.say(f"run {result['run']}; to take it back: tworelay restore {result['run']}")
+    say_report(result["run"], screen)
 
 
 def _against_truth(result: dict[str, Any], truth: Any, screen: Screen) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterator
 from itertools import chain
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from commissioning.cli.options import verbose
+from commissioning.cli.output import document, json_text
 from commissioning.cli.terminal import Screen
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def command(link: str | None, as_json: bool) -> None:
             if not as_json:
                 screen.say(_MARKS[finding.level] + finding.text)
     if as_json:
-        click.echo(json.dumps([{"level": f.level, "text": f.text} for f in findings], indent=1))
+        document(json_text([{"level": f.level, "text": f.text} for f in findings]))
     if link and any(f.level == "problem" for f in findings):
         sys.exit(4)
 

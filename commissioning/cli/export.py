@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from commissioning.cli.options import verbose
+from commissioning.cli.output import say
 
 __all__ = ["command"]
 
@@ -29,4 +30,4 @@ def command(run: str, folder: Path) -> None:
     with Journal(home()) as journal:
         run_id, source = resolve(journal, run)
         for path in source.export(journal, run_id, folder):
-            click.echo(str(path))
+            say(str(path))

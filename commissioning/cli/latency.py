@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import click
 
 from commissioning.cli.options import verbose
+from commissioning.cli.output import document, json_text
 from commissioning.cli.terminal import Finite, Screen, at_desk, axis_from, travel_from
 
 __all__ = ["command"]
@@ -72,7 +72,7 @@ def command(
             "cycle": found.cycle, "late_share": found.late_share, "missed": found.missed,
             "shortest_period": found.shortest_period, "dead_time": late,
         }  # fmt: skip
-        click.echo(json.dumps(tree, indent=1))
+        document(json_text(tree))
         return
     screen.table(
         "times in ms", ["", "median", "99 %", "worst"],

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from commissioning.cli.options import verbose
+from commissioning.cli.output import say
 from commissioning.cli.terminal import Finite
 from profiles.errors import Refused, UsageError
 
@@ -65,4 +66,4 @@ def loci(run: str, amplitude: float | None, hysteresis: float | None, output: st
         raise UsageError(
             f"run {run_id}: lacks what the picture needs ({type(error).__name__}: {error})"
         ) from None
-    click.echo(str(target))
+    say(str(target))

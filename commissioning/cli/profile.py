@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from commissioning.cli.output import document, json_text, say
+
 if TYPE_CHECKING:
     from profiles.draft import Draft
 
@@ -25,13 +27,11 @@ def list_profiles(as_json: bool) -> None:
 
     found = [load_profile(name) for name in builtin_names()]
     if as_json:
-        import json
-
         keys = ("name", "version", "bus", "title", "status")
-        click.echo(json.dumps([{key: getattr(p, key) for key in keys} for p in found], indent=1))
+        document(json_text([{key: getattr(p, key) for key in keys} for p in found]))
         return
     for p in found:
-        click.echo(f"{p.name:<18} {p.bus:<8} {p.compensation.law:<18} {p.status:<15} {p.title}")
+        say(f"{p.name:<18} {p.bus:<8} {p.compensation.law:<18} {p.status:<15} {p.title}")
 
 
 @command.command("show")
@@ -40,7 +40,7 @@ def show(profile: str) -> None:
     """The profile as it is written (TOML)."""
     from profiles.library import source_text
 
-    click.echo(source_text(profile), nl=False)
+    document(source_text(profile))
 
 
 @command.command("check")
@@ -53,11 +53,11 @@ def check_profile(profile: str) -> None:
     loaded = load_profile(profile)
     findings = check(loaded)
     for finding in findings:
-        click.echo(f"{finding.severity}: {finding.text}")
+        say(f"{finding.severity}: {finding.text}")
     errors = sum(finding.severity == "error" for finding in findings)
     if errors:
         raise ProfileError(f"profile '{loaded.name}' has {errors} error(s)")
-    click.echo(
+    say(
         f"{loaded.name} {loaded.version}: {len(loaded.parameters)} parameters, {loaded.bus}, "
         f"compensation {loaded.compensation.law}: usable, {len(findings)} warning(s)"
     )
@@ -100,7 +100,7 @@ def new(eds: str | None, table: str | None, drive: str | None, output: str, forc
         from commissioning.ownership import owned
         from drivers.link import stored_eds
 
-        click.echo("reading the drive's own EDS (1021h); some seconds on a slow adapter", err=True)
+        say("reading the drive's own EDS (1021h); some seconds on a slow adapter", err=True)
         with owned(drive, "profile new"):
             draft = draft_from_stored_eds(stored_eds(drive), drive)
     else:
@@ -110,11 +110,11 @@ def new(eds: str | None, table: str | None, drive: str | None, output: str, forc
     except OSError as error:
         raise UsageError(f"--output {target}: cannot be written: {error.strerror}") from None
     for note in draft.notes:
-        click.echo(f"note: {note}")
+        say(f"note: {note}")
     loaded = load_profile(str(target))
     for finding in check(loaded):
-        click.echo(f"{finding.severity}: {finding.text}")
-    click.echo(
+        say(f"{finding.severity}: {finding.text}")
+    say(
         f"{target}: profile '{loaded.name}', {len(loaded.parameters)} parameters; what comes next: "
         "docs/bring-your-own-drive.md"
     )
@@ -133,7 +133,7 @@ def _asked(name: str) -> Draft:
         raise UsageError(
             "profile new: give --eds F, --csv F or --drive LINK; questions need a terminal"
         )
-    click.echo("Registers as on the wire (813, 0x32D or 32Dh). Enter alone: the drive has none.")
+    say("Registers as on the wire (813, 0x32D or 32Dh). Enter alone: the drive has none.")
     title = click.prompt("name of the drive", default=name)
     is_cia402 = click.confirm("does it have a controlword (CiA 402)?", default=False)
     left_out = ("servo_on", "drive_status", "alarm") if is_cia402 else _CIA402

@@ -7,9 +7,11 @@ from pathlib import Path
 import click
 
 from commissioning.cli.options import verbose
+from commissioning.cli.output import say
+from commissioning.cli.terminal import Screen
 from profiles.errors import UsageError
 
-__all__ = ["command", "write_report"]
+__all__ = ["command", "say_report", "write_report"]
 
 
 @click.command("report")
@@ -18,7 +20,15 @@ __all__ = ["command", "write_report"]
 @verbose
 def command(run: str, output: str | None) -> None:
     """Write the report of RUN as one self-contained HTML file, and name it."""
-    click.echo(str(write_report(run, output)))
+    say(str(write_report(run, output)))
+
+
+def say_report(run: str, screen: Screen) -> None:
+    """Write the report at the end of a job that is done, whether or not there is room for it."""
+    try:
+        screen.say(f"report {write_report(run, None)}")
+    except UsageError as error:
+        screen.say(f"no report: {error}; the job is done, and 'tworelay report {run}' tries again")
 
 
 def write_report(run: str, output: str | None) -> Path:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import click
 
 from commissioning.cli.options import verbose
+from commissioning.cli.output import document, json_text
 from commissioning.cli.terminal import Finite, Screen
 
 __all__ = ["command"]
@@ -40,7 +40,7 @@ def command(link: str, units: str, timeout: float | None, as_json: bool) -> None
             }
             for f in found
         ]  # fmt: skip
-        click.echo(json.dumps(rows, indent=1))
+        document(json_text(rows))
         return
     if not found:
         screen.say("nobody answers; 'tworelay doctor LINK' looks for the reason")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import sys
 from collections.abc import Callable, Generator
 from functools import wraps
@@ -12,6 +11,7 @@ from typing import Any
 
 import click
 
+from commissioning.cli import output
 from commissioning.cli.options import verbose
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
@@ -20,6 +20,7 @@ from drivers.home import home
 from drivers.link import axis_of
 from profiles.axis import Axis, load_axis
 from profiles.errors import Refused, TwoRelayError, UsageError
+from profiles.plain import plain
 
 # spelt out here, so that --help imports no numbers; a test holds it to session.methods
 METHODS = (
@@ -51,15 +52,12 @@ class Screen:
         self._progress: Any = None
 
     def say(self, text: str = "") -> None:
-        """One line; a reader that went away does not end a job that moves or writes."""
-        with contextlib.suppress(BrokenPipeError):
-            self._say(text)
-
-    def _say(self, text: str) -> None:
-        if self._progress is not None:
-            self._progress.console.print(text, highlight=False, markup=False, soft_wrap=True)
-        else:
-            click.echo(text, err=self.to_stderr)
+        """One line."""
+        if self._progress is None:
+            output.say(text, err=self.to_stderr)
+            return
+        with output.giving_up(err=self.to_stderr):
+            self._progress.console.print(plain(text), highlight=False, markup=False, soft_wrap=True)
 
     def console(self) -> Any:
         """A rich console on the same stream."""
@@ -79,7 +77,7 @@ class Screen:
             raise Refused("this needs a confirmation and there is no terminal: give --yes")
         with self.paused():
             answer: str = click.prompt(
-                f"Type {word} to go on", default="", show_default=False, err=self.to_stderr
+                f"Type {plain(word)} to go on", default="", show_default=False, err=self.to_stderr
             )
         return answer.strip() == word
 
@@ -133,13 +131,14 @@ class Screen:
         """A table."""
         from rich.table import Table
 
-        table = Table(title=title, title_justify="left", title_style="bold")
+        table = Table(title=plain(title), title_justify="left", title_style="bold")
         for n, column in enumerate(columns):
             justify = "left" if n == 0 else "right"
-            table.add_column(column, justify=justify, no_wrap=n == 0, overflow="fold")  # type: ignore[arg-type]
+            table.add_column(plain(column), justify=justify, no_wrap=n == 0, overflow="fold")  # type: ignore[arg-type]
         for row in rows:
-            table.add_row(*row)
-        self.console().print(table, markup=False)
+            table.add_row(*map(plain, row))
+        with output.giving_up(err=self.to_stderr):
+            self.console().print(table, markup=False)
 
 
 @contextlib.contextmanager
@@ -295,14 +294,17 @@ def check_json(target: str | None) -> None:
 
 
 def write_json(result: dict[str, Any], target: str | None) -> None:
-    """Result as JSON to a file or standard output; raises UsageError."""
+    """Result as JSON to a file or standard output. Where it cannot be written, the job is no less done."""
     if target is None:
         return
-    text = json.dumps(result, indent=1, allow_nan=False)
+    text = output.json_text(result)
     if target == "-":
-        click.echo(text)
+        output.document(text)
         return
     try:
-        Path(target).write_text(text + "\n", "utf-8")
+        Path(target).write_text(text, "utf-8")
     except OSError as error:
-        raise UsageError(f"--json {target}: cannot be written: {error.strerror}") from None
+        kept = f"; run {result['run']} keeps the result" if result.get("run") else ""
+        output.say(
+            f"tworelay: --json {target}: cannot be written: {error.strerror}{kept}", err=True
+        )

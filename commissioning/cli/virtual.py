@@ -9,6 +9,7 @@ from typing import Literal
 import click
 
 from commissioning.cli.options import verbose
+from commissioning.cli.output import document, json_text, say
 from profiles.errors import UsageError
 
 __all__ = ["command"]
@@ -28,15 +29,13 @@ def list_axes(as_json: bool) -> None:
     from drivers.virtual.axes import AXES
 
     if as_json:
-        import json
-
-        click.echo(json.dumps([asdict(axis) for axis in AXES.values()], indent=1))
+        document(json_text([asdict(axis) for axis in AXES.values()]))
         return
     for axis in AXES.values():
         rotary = axis.motion == "rotary"
         j, b, e, p = ("kg.m2", "N.m.s/rad", "N.m", "rad") if rotary else ("kg", "N.s/m", "N", "m")
-        click.echo(f"{axis.name:<13} {axis.title}")
-        click.echo(
+        say(f"{axis.name:<13} {axis.title}")
+        say(
             f"{'':<13} inertia {axis.inertia:g} {j}, viscous {axis.viscous:g} {b}, Coulomb "
             f"{axis.coulomb:g} {e}, load {axis.load:g} {e}, rated {axis.rated:g} {e}, travel "
             f"±{axis.travel:.4g} {p}{', holding brake' if axis.brake else ''}"
@@ -44,7 +43,7 @@ def list_axes(as_json: bool) -> None:
         needs = [] if rotary else ['motion = "linear"', "feed = 6.283185307179586"]
         needs += ['held_by = "brake"'] if axis.brake else []
         if needs:
-            click.echo(f"{'':<13} served: axis file with [mechanics] {', '.join(needs)}")
+            say(f"{'':<13} served: axis file with [mechanics] {', '.join(needs)}")
 
 
 @command.command("serve")
@@ -119,7 +118,7 @@ def serve_axis(
             raise UsageError(f"{key} is for virtual:// links: a served drive has its wire's own")
     received = serve(
         served, Memory.at(state or state_file(link)), endpoints, clock,
-        click.echo,
+        say,
     )  # fmt: skip
     sys.exit(128 + received)
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from commissioning.identification.describing_function import equivalent, inverse_locus, relay
 from commissioning.runs import Samples
 from commissioning.tuning.margins import LEAST_MARGIN
+from profiles.plain import plain_lines
 
 __all__ = [
     "following",
@@ -392,4 +393,4 @@ def _svg(figure: Figure) -> str:
     stream = io.StringIO()
     figure.savefig(stream, format="svg", metadata={"Date": None})
     text = stream.getvalue()
-    return text[text.index("<svg") :]
+    return plain_lines(text[text.index("<svg") :])

@@ -9,6 +9,7 @@ from typing import Any
 from commissioning.report.words import GAINS, duration, host_law
 from commissioning.runs import Samples
 from profiles.errors import UsageError
+from profiles.plain import plain_lines
 
 __all__ = ["render"]
 
@@ -66,9 +67,10 @@ def _render(result: dict[str, Any], samples: Samples | None, journal: dict[str, 
         (files("commissioning.report") / "report.html.j2").read_text("utf-8")
     )
     created = time.strftime("%Y-%m-%d %H:%M", time.localtime(journal["run"]["created"]))
-    return template.render(
+    text = template.render(
         r=result, pictures=pictures, stages=stages, journal=journal, created=created
     )
+    return plain_lines(text)
 
 
 def _si(value: float | None, unit: str = "") -> str:

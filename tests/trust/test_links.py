@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -100,7 +101,7 @@ def test_a_state_that_is_a_folder_a_device_or_leads_nowhere_is_refused(tmp_path:
 
 def test_a_state_of_ours_is_written_again_also_one_of_an_older_version(tmp_path: Path) -> None:
     file = tmp_path / "drive.json"
-    kept: dict[str, object] = {}
+    kept: dict[str, Any] = {}
     for old in (False, True):
         if old:
             file.write_text(json.dumps({k: v for k, v in kept.items() if k != "schema"}))

@@ -1,0 +1,60 @@
+"""Where text leaves: the only place that writes to standard output and standard error.
+
+What it writes acts on no terminal. A stream that takes no more – a full disk, a reader that went away – ends
+no job: the rest of what it would have said is lost, which is told on the other stream once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+from collections.abc import Generator
+from typing import Any
+
+import click
+
+from profiles.plain import plain, plain_lines
+
+__all__ = ["document", "giving_up", "json_text", "say"]
+
+
+def say(text: str = "", *, err: bool = False) -> None:
+    """One line for people."""
+    _write(plain(text) + "\n", err=err)
+
+
+def document(text: str, *, err: bool = False) -> None:
+    """A text of several lines, with their ends."""
+    _write(plain_lines(text), err=err)
+
+
+def json_text(tree: Any) -> str:
+    """JSON for a file or a stream, in ASCII."""
+    return json.dumps(tree, indent=1, allow_nan=False) + "\n"
+
+
+def _write(text: str, *, err: bool) -> None:
+    with giving_up(err=err):
+        click.echo(text, err=err, nl=False)
+
+
+@contextlib.contextmanager
+def giving_up(*, err: bool) -> Generator[None]:
+    """A stream that takes no more from the body is given up, not the job."""
+    try:
+        yield
+    except OSError as error:
+        _abandon(sys.stderr if err else sys.stdout)
+        if not isinstance(error, BrokenPipeError) and not err:
+            with contextlib.suppress(OSError):
+                click.echo(f"tworelay: standard output takes no more: {error.strerror}", err=True)
+
+
+def _abandon(stream: Any) -> None:
+    """What is still to come on a stream goes nowhere: its end is no error, either."""
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, stream.fileno())
+        os.close(nothing)

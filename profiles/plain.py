@@ -1,0 +1,33 @@
+"""Text that others wrote – a drive, a file, a link – as it may be shown: nothing in it acts on a terminal."""
+
+from __future__ import annotations
+
+import unicodedata
+
+__all__ = ["plain", "plain_lines"]
+
+_ACT = {
+    "Cc",
+    "Cf",
+    "Cs",
+    "Co",
+    "Cn",
+    "Zl",
+    "Zp",
+}  # control, format (bidi), surrogate, …, separators
+
+
+def plain(text: str) -> str:
+    """One line: what a terminal or an editor would act on stands there as an escape."""
+    if text.isprintable():
+        return text
+    return "".join(_shown(c) if unicodedata.category(c) in _ACT else c for c in text)
+
+
+def plain_lines(text: str) -> str:
+    """The same for a text of several lines; tabs stay, too."""
+    return "\n".join("\t".join(map(plain, line.split("\t"))) for line in text.split("\n"))
+
+
+def _shown(character: str) -> str:
+    return character.encode("unicode_escape").decode("ascii")

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from commissioning.stored import checked_intents, checked_journal
 from profiles.errors import JournalError, UnknownName, UsageError
 
 __all__ = ["RESTORED", "STORED", "STORING", "Intent", "Journal", "RunRecord"]
@@ -41,13 +42,18 @@ CREATE TABLE IF NOT EXISTS events (
     seq INTEGER PRIMARY KEY AUTOINCREMENT, run TEXT NOT NULL REFERENCES runs(id),
     at REAL NOT NULL, text TEXT NOT NULL
 );
+CREATE TABLE IF NOT EXISTS adopted (run TEXT PRIMARY KEY REFERENCES runs(id), at REAL NOT NULL);
 CREATE INDEX IF NOT EXISTS intents_of_run ON intents(run);
+CREATE VIEW IF NOT EXISTS own_runs AS SELECT * FROM runs WHERE id NOT IN (SELECT run FROM adopted);
 """
 
 
 @dataclass(frozen=True, slots=True)
 class RunRecord:
-    """One run. `context` is what is needed to connect again: axis, profile, limits."""
+    """One run. `context` is what is needed to connect again: axis, profile, limits.
+
+    `adopted` : it was measured on another computer, and taken in here
+    """
 
     id: str
     created: float
@@ -58,6 +64,7 @@ class RunRecord:
     serial: str
     status: str
     context: dict[str, Any]
+    adopted: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,18 +177,37 @@ class Journal:
             self._db.execute("UPDATE runs SET status=? WHERE id=?", (status, run))
 
     def run(self, run: str) -> RunRecord:
-        """A run by its id, or `last`; raises UnknownName."""
+        """A run by its id, or `last`, which was measured here; raises UnknownName."""
         with self._errors():
             if run == "last":
                 row = self._db.execute(
-                    "SELECT * FROM runs ORDER BY created DESC, id DESC LIMIT 1"
+                    "SELECT * FROM own_runs ORDER BY created DESC, id DESC LIMIT 1"
                 ).fetchone()
             else:
                 row = self._db.execute("SELECT * FROM runs WHERE id=?", (run,)).fetchone()
             if row is None:
                 recent = self._db.execute("SELECT id FROM runs ORDER BY created DESC LIMIT 5")
                 raise UnknownName("run", run, [found["id"] for found in recent])
-            return RunRecord(**{**dict(row), "context": json.loads(row["context"])})
+            return self._record(row)
+
+    def _record(self, row: sqlite3.Row) -> RunRecord:
+        """A row as it must be; raises JournalError."""
+        run = dict(row)
+        adopted = self._db.execute("SELECT 1 FROM adopted WHERE run=?", (run["id"],)).fetchone()
+        try:
+            run["context"] = json.loads(run["context"])
+            checked_journal(
+                {"schema": "tworelay.journal/1", "run": run, "intents": []}, f"run {run['id']}"
+            )
+        except (ValueError, TypeError, RecursionError, UsageError) as error:
+            raise self._damaged(error) from None
+        return RunRecord(**run, adopted=adopted is not None)
+
+    def _damaged(self, error: Exception) -> JournalError:
+        return JournalError(
+            f"the journal in {self.folder} is damaged ({error}); put back a copy of journal.sqlite, or move "
+            "it away: its runs are then not known any more"
+        )
 
     def note(self, run: str, text: str) -> None:
         """Append an event to the run's record."""
@@ -250,16 +276,21 @@ class Journal:
                 "ORDER BY seq",
                 (run,),
             ).fetchall()
-        found = [Intent(**dict(row)) for row in rows]
+        tree = [dict(row) for row in rows]
+        try:
+            checked_intents(tree, f"run {run}")
+        except UsageError as error:
+            raise self._damaged(error) from None
+        found = [Intent(**row) for row in tree]
         return [i for i in found if i.state in ("intended", "verified")] if open_only else found
 
     def open_runs(self) -> list[str]:
-        """Runs with something to restore, the latest first."""
+        """Runs of this computer with something to restore, the latest first."""
         with self._errors():
             rows = self._db.execute(
-                "SELECT DISTINCT runs.id, runs.created FROM runs JOIN intents ON intents.run = runs.id "
-                "WHERE intents.state IN ('intended', 'verified') "
-                "ORDER BY runs.created DESC, runs.id DESC"
+                "SELECT DISTINCT own.id, own.created FROM own_runs AS own "
+                "JOIN intents ON intents.run = own.id WHERE intents.state IN ('intended', 'verified') "
+                "ORDER BY own.created DESC, own.id DESC"
             ).fetchall()
         return [str(row["id"]) for row in rows]
 
@@ -267,8 +298,8 @@ class Journal:
         """The latest run that wrote anything to a drive."""
         with self._errors():
             row = self._db.execute(
-                "SELECT runs.id FROM runs JOIN intents ON intents.run = runs.id "
-                "ORDER BY runs.created DESC, runs.id DESC LIMIT 1"
+                "SELECT own.id FROM own_runs AS own JOIN intents ON intents.run = own.id "
+                "ORDER BY own.created DESC, own.id DESC LIMIT 1"
             ).fetchone()
         return None if row is None else str(row["id"])
 
@@ -294,7 +325,9 @@ class Journal:
             ).fetchall()
         return {
             "schema": "tworelay.journal/1",
-            "run": {name: getattr(record, name) for name in RunRecord.__slots__},
+            "run": {
+                name: getattr(record, name) for name in RunRecord.__slots__ if name != "adopted"
+            },
             "intents": [
                 {name: getattr(i, name) for name in ("kind", "parameter", "old", "new", "state")}
                 for i in self.intents(record.id)
@@ -303,42 +336,40 @@ class Journal:
         }
 
     def adopt(self, tree: Any, origin: str) -> str:
-        """Take in a run exported elsewhere, unless it is known; return its id."""
-        try:
-            if tree["schema"] != "tworelay.journal/1":
-                raise KeyError("schema")
-            record = RunRecord(**tree["run"])
-            rows = [
-                (str(i["kind"]), str(i["parameter"]), int(i["old"]), int(i["new"]), str(i["state"]))
-                for i in tree["intents"]
-            ]
-            events = [(float(e["at"]), str(e["text"])) for e in tree.get("events", ())]
-            if any(abs(value) >= 2**63 for row in rows for value in row[2:4]):
-                raise ValueError("a value is too large")
-            fields = (
-                record.id, float(record.created), record.axis, record.link, record.profile,
-                record.profile_hash, record.serial, record.status, json.dumps(record.context),
-            )  # fmt: skip
-            if not all(isinstance(field, str | float) for field in fields):
-                raise TypeError("a field of the run is no text")
-        except (KeyError, TypeError, ValueError) as error:
-            raise UsageError(f"{origin}: is no exported run ({error})") from None
+        """Take in the journal of a run of another computer, unless it is known; returns its id.
+
+        Raises UsageError where it is none.
+        """
+        tree = checked_journal(tree, origin)
+        run = tree["run"]
+        if self.knows(run["id"]):
+            return str(run["id"])
+        names = ("id", "created", "axis", "link", "profile", "profile_hash", "serial", "status")
+        of_intent = ("kind", "parameter", "old", "new", "state")
         with self._errors():
-            known = self._db.execute("SELECT 1 FROM runs WHERE id=?", (record.id,)).fetchone()
-            if known is None:
-                self._db.execute("BEGIN IMMEDIATE")
-                self._db.execute("INSERT INTO runs VALUES (?,?,?,?,?,?,?,?,?)", fields)
-                self._db.executemany(
-                    "INSERT INTO intents(run, kind, parameter, old, new, state, at) "
-                    "VALUES (?,?,?,?,?,?,?)",
-                    [(record.id, *row, time.time()) for row in rows],
-                )
-                self._db.executemany(
-                    "INSERT INTO events(run, at, text) VALUES (?,?,?)",
-                    [(record.id, *event) for event in events],
-                )
-                self._db.execute("COMMIT")
-        return record.id
+            self._db.execute("BEGIN IMMEDIATE")
+            self._db.execute(
+                "INSERT INTO runs VALUES (?,?,?,?,?,?,?,?,?)",
+                (*(run[name] for name in names), json.dumps(run["context"])),
+            )
+            self._db.execute("INSERT INTO adopted VALUES (?,?)", (run["id"], time.time()))
+            self._db.executemany(
+                "INSERT INTO intents(run, kind, parameter, old, new, state, at) "
+                "VALUES (?,?,?,?,?,?,?)",
+                [(run["id"], *(i[n] for n in of_intent), time.time()) for i in tree["intents"]],
+            )
+            self._db.executemany(
+                "INSERT INTO events(run, at, text) VALUES (?,?,?)",
+                [(run["id"], event["at"], event["text"]) for event in tree["events"]],
+            )
+            self._db.execute("COMMIT")
+        return str(run["id"])
+
+    def knows(self, run: str) -> bool:
+        """Whether there is a run of this id."""
+        with self._errors():
+            found = self._db.execute("SELECT 1 FROM runs WHERE id=?", (run,)).fetchone()
+        return found is not None
 
 
 def _unwritable(folder: Path, error: Exception) -> str:

@@ -7,7 +7,6 @@ import io
 import json
 import math
 import re
-import shutil
 import zipfile
 import zlib
 from pathlib import Path
@@ -16,8 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from commissioning.journal import Journal
+from commissioning.journal import Journal, RunRecord
 from commissioning.runner import Recorder
+from commissioning.stored import checked_journal, checked_result, json_file
 from drivers.sample import Sample
 from profiles.dcf import dcf
 from profiles.errors import JournalError, UnknownName, UsageError
@@ -31,7 +31,10 @@ _UNREADABLE = (
     OSError, ValueError, KeyError, EOFError, TypeError, MemoryError, OverflowError, RuntimeError,
     zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
-_LARGEST_JSON, _LARGEST_SAMPLES = 20_000_000, 500_000_000  # bytes
+_OF_A_RUN = (
+    "id", "created", "axis", "link", "profile", "profile_hash", "serial", "status", "context",
+)  # fmt: skip
+_LARGEST_SAMPLES = 500_000_000  # bytes
 
 
 class Samples:
@@ -65,17 +68,34 @@ class Samples:
 
 
 class RunFolder:
-    """The folder of one run under TWORELAY_HOME, or an exported one."""
+    """The folder of one run under TWORELAY_HOME, or an exported one. No link in it is followed.
 
-    def __init__(self, path: Path) -> None:
+    `exported` : the journal that lies in an exported one
+    """
+
+    def __init__(self, path: Path, exported: dict[str, Any] | None = None) -> None:
         self.path = path
+        self.exported = exported
 
     @classmethod
     def of(cls, journal: Journal, run: str) -> RunFolder:
         """Folder of the run `run`."""
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", run):
             raise UsageError(f"'{run}' is no run id")
-        return cls(journal.folder / "runs" / run)
+        path = journal.folder / "runs" / run
+        if path.is_symlink():
+            raise UsageError(f"{path}: is a link, and none is followed here")
+        return cls(path)
+
+    def history(self, journal: Journal, run: str) -> dict[str, Any]:
+        """What the journal knows of the run: this computer's, or for an exported one the one beside it."""
+        return journal.export(run) if self.exported is None else self.exported
+
+    def record(self, journal: Journal, run: str) -> RunRecord:
+        """The run's row of the journal, likewise."""
+        if self.exported is None:
+            return journal.run(run)
+        return RunRecord(**{k: self.exported["run"][k] for k in _OF_A_RUN}, adopted=True)
 
     def save(self, result: dict[str, Any], samples: Samples | None, profile: str | None) -> None:
         """Write what is given; raises JournalError."""
@@ -86,14 +106,8 @@ class RunFolder:
             text = json.dumps(result, indent=1, allow_nan=False)
             replace(self.path / "run.json", text.encode())
             if samples is not None:
-                archive = io.BytesIO()
-                np.savez(
-                    archive,
-                    allow_pickle=False,
-                    phases=np.array(json.dumps(samples.phases)),
-                    **samples.columns,
-                )
-                replace(self.path / "samples.npz", archive.getvalue())
+                arrays = {"phases": np.array(json.dumps(samples.phases)), **samples.columns}
+                replace(self.path / "samples.npz", _packed(arrays))
         except OSError as error:
             raise JournalError(f"cannot write the run to {self.path}: {error}") from None
 
@@ -101,25 +115,17 @@ class RunFolder:
         """The result JSON; raises UsageError."""
         path = self.path / "run.json"
         try:
-            found = json.loads(contents(path, _LARGEST_JSON))
+            return checked_result(json_file(path), str(path))
         except FileNotFoundError:
             raise UsageError(f"{self.path} holds no run (run.json is missing)") from None
-        except OSError as error:
-            raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
-        except (ValueError, RecursionError) as error:
-            raise UsageError(f"{path}: is no JSON: {error}") from None
-        if not isinstance(found, dict) or found.get("schema") != "tworelay.run/1":
-            raise UsageError(f"{path}: is no result of tworelay")
-        _check_result(found, path)
-        return found
 
     def samples(self) -> Samples | None:
         """Recorded samples, or None where the run has none."""
         path = self.path / "samples.npz"
-        if not path.exists():
+        if not path.exists() and not path.is_symlink():
             return None
         try:
-            data = io.BytesIO(contents(path, _LARGEST_SAMPLES))
+            data = io.BytesIO(contents(path, _LARGEST_SAMPLES, links=False))
             with zipfile.ZipFile(data) as packed:
                 if sum(item.file_size for item in packed.infolist()) > _LARGEST_SAMPLES:
                     raise UsageError(f"{path}: too large for samples")
@@ -128,7 +134,12 @@ class RunFolder:
             data.seek(0)
             with np.load(data, allow_pickle=False) as archive:
                 columns = {name: np.asarray(archive[name], float) for name in _COLUMNS}
-                phases = [(int(n), str(text)) for n, text in json.loads(str(archive["phases"]))]
+                phases = [
+                    (int(n), str(text))
+                    for n, text in json.loads(str(archive["phases"]))
+                    if int(n) >= 0
+                ]
+            _check_columns(columns)
         except _UNREADABLE as error:
             raise UsageError(f"{path}: cannot be read as samples: {error}") from None
         return Samples(columns, phases)
@@ -142,9 +153,10 @@ class RunFolder:
         result = self.result()
         try:
             target.mkdir(parents=True, exist_ok=True)
-            for path in self.path.iterdir():
-                shutil.copy2(path, target / path.name)
-            (target / "journal.json").write_text(json.dumps(journal.export(run), indent=1), "utf-8")
+            for path in sorted(self.path.iterdir()):
+                replace(target / path.name, contents(path, _LARGEST_SAMPLES, links=False))
+            history = self.history(journal, run)
+            replace(target / "journal.json", json.dumps(history, indent=1).encode())
             samples = self.samples()
             if samples is not None:
                 _write_csv(target / "samples.csv", samples, result)
@@ -153,27 +165,49 @@ class RunFolder:
                     _write_csv(
                         target / "oscillations.csv", samples, result, (spans[0][0], spans[-1][1])
                     )
-            changes = self._dcf(journal, run)
+            changes = self._dcf(history)
             if changes:
-                (target / "changes.dcf").write_text(changes, "utf-8")
+                replace(target / "changes.dcf", changes.encode())
         except OSError as error:
             raise UsageError(f"cannot export to {target}: {error}") from None
         return sorted(target.iterdir())
 
-    def _dcf(self, journal: Journal, run: str) -> str:
+    def _dcf(self, history: dict[str, Any]) -> str:
         """What the run changed for good in a CANopen drive, as a DCF; '' where there is nothing."""
         if not self.profile_path().exists():
             return ""
-        profile = load_profile(str(self.profile_path()))
+        profile = load_profile(str(self.profile_path()), lenient=True)
         changed = {
-            i.parameter: i.new
-            for i in journal.intents(run, open_only=True)
-            if i.kind != "experiment" and i.parameter in profile.parameters
+            intent["parameter"]: intent["new"]
+            for intent in history["intents"]
+            if intent["kind"] != "experiment"
+            and intent["state"] != "restored"
+            and intent["parameter"] in profile.parameters
         }
         if profile.bus != "canopen" or not changed:
             return ""
-        node = re.search(r"[?&]node=(\d+)", journal.run(run).link)
+        node = re.search(r"[?&]node=([0-9]{1,3})(?:&|$)", history["run"]["link"])
         return dcf(profile, changed, int(node[1]) if node else profile.link.node)
+
+
+def _packed(arrays: dict[str, NDArray[Any]]) -> bytes:
+    """The bytes of an .npz; whatever the computer's clock says, which numpy writes into it."""
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w", zipfile.ZIP_STORED) as archive:
+        for name, array in arrays.items():
+            member = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
+            with archive.open(member, "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, np.asanyarray(array), allow_pickle=False)
+    return data.getvalue()
+
+
+def _check_columns(columns: dict[str, NDArray[np.float64]]) -> None:
+    """Raise ValueError where they are no columns of one length, or an instant or a position is no number."""
+    if len({column.shape for column in columns.values()}) != 1 or columns["time"].ndim != 1:
+        raise ValueError("its columns are not of one length")
+    for name in ("time", "position", "sent"):
+        if not np.all(np.isfinite(columns[name])):
+            raise ValueError(f"'{name}' holds what is no finite number")
 
 
 def _check_array(packed: zipfile.ZipFile, item: zipfile.ZipInfo) -> None:
@@ -186,50 +220,16 @@ def _check_array(packed: zipfile.ZipFile, item: zipfile.ZipInfo) -> None:
         raise ValueError(f"{item.filename} is cut off")
 
 
-_RESULT_KEYS: dict[str, type | tuple[type, ...]] = {
-    "status": str, "axis": str, "units": dict, "friction": dict, "methods": dict,
-    "compensation": list, "tuning": list, "quality": dict,
-}  # fmt: skip
-_CHANGE_KEYS: dict[str, type | tuple[type, ...]] = {
-    "parameter": str, "old": (int, float), "new": (int, float), "unit": str, "why": str,
-    "old_raw": int, "new_raw": int, "rounded_by": (int, float),
-}  # fmt: skip
-
-
-_SET_KEYS: dict[str, type | tuple[type, ...]] = {
-    "rule": str, "loop": str, "source": str, "proposed": bool, "best": bool, "why_not": str,
-    "parameters": list,
-}  # fmt: skip
-_GAIN_KEYS = {
-    key: kind for key, kind in _CHANGE_KEYS.items() if key not in ("old", "old_raw", "why")
-}
-
-
-def _check_result(found: dict[str, Any], path: Path) -> None:
-    """What the commands rely on is there and of its type; the rest is the report's to judge."""
-    rows = [(found, _RESULT_KEYS)]
-    if isinstance(found.get("compensation"), list):
-        rows += [(item, _CHANGE_KEYS) for item in found["compensation"]]
-    for item in found["tuning"] if isinstance(found.get("tuning"), list) else ():
-        rows.append((item, _SET_KEYS))
-        if isinstance(item, dict) and isinstance(item.get("parameters"), list):
-            rows += [(change, _GAIN_KEYS) for change in item["parameters"]]
-    for row, keys in rows:
-        for key, kind in keys.items():
-            if not isinstance(row, dict) or not isinstance(row.get(key), kind):
-                raise UsageError(f"{path}: is damaged: '{key}' is missing or not what it must be")
-
-
 def resolve(journal: Journal, run: str) -> tuple[str, RunFolder]:
-    """RUN → its id and folder: an id, `last`, or the folder of an exported run."""
+    """RUN → its id and folder, to be read: an id, `last`, or the folder of an exported run."""
     path = Path(run)
     if _is_folder(path) and (path / "run.json").exists():
         origin = path / "journal.json"
         try:
-            tree = json.loads(contents(origin, _LARGEST_JSON))
-        except (OSError, ValueError, RecursionError) as error:
-            raise UsageError(f"{origin}: cannot be read: {error}") from None
-        return journal.adopt(tree, str(origin)), RunFolder(path)
+            tree = checked_journal(json_file(origin), str(origin))
+        except FileNotFoundError:
+            raise UsageError(f"{path} holds no exported run (journal.json is missing)") from None
+        return tree["run"]["id"], RunFolder(path, tree)
     record = journal.run(run)
     folder = RunFolder.of(journal, record.id)
     if not folder.path.exists():
@@ -255,9 +255,10 @@ def _write_csv(
         "time_s", f"position_{position}", f"{kind}_{effort}", f"command_{effort}", "sent_s",
         "lateness_s", "missed_cycles",
     ]  # fmt: skip
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        since = samples["time"] - samples["sent"][0]
-        kept = slice(None) if span is None else (since >= span[0]) & (since <= span[1])
-        writer.writerows(zip(*(samples[name][kept].tolist() for name in _COLUMNS), strict=True))
+    file = io.StringIO(newline="")
+    writer = csv.writer(file)
+    writer.writerow(header)
+    since = samples["time"] - (samples["sent"][0] if len(samples) else 0.0)
+    kept = slice(None) if span is None else (since >= span[0]) & (since <= span[1])
+    writer.writerows(zip(*(samples[name][kept].tolist() for name in _COLUMNS), strict=True))
+    replace(path, file.getvalue().encode())

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from commissioning.journal import Intent, Journal, Kind
 from drivers.drive import SET, Drive
+from profiles.commands import commands, enabling, position_set_points, set_points
 from profiles.errors import JournalError, LinkError, TwoRelayError, WriteFailed
 
-__all__ = ["Restored", "Settings", "put_back", "settle"]
+__all__ = ["Restored", "Return", "Settings", "planned", "put_back", "settle"]
 
 
 @dataclass
@@ -152,39 +154,95 @@ def settle(journal: Journal, intents: list[Intent], outcome: Restored) -> None:
 
 
 def put_back(drive: Drive, intents: list[Intent], *, force: bool = False) -> Restored:
-    """Undo `intents`, last first, each parameter to its oldest value. The caller settles them.
+    """Undo `intents`, each parameter to its oldest value, as `_Back` does. The caller settles them.
 
     A value that is neither the old nor ours is somebody else's work: skipped, unless `force`.
     """
     outcome = Restored()
-    oldest = {intent.parameter: intent.old for intent in reversed(intents)}
-    ours = {name: {i.new for i in intents if i.parameter == name} for name in oldest}
+    back = _Back(drive, intents, force=force)
     dead: str | None = None
-    known = drive.profile.parameters
-    for name in dict.fromkeys(i.parameter for i in reversed(intents) if i.parameter in known):
+    for name in back.order:
         if dead is not None:
             outcome.failed[name] = dead
             continue
-        old = oldest[name]
         try:
-            there = drive.read_raw(name)
-            if there == old:
-                outcome.already.append(name)
-            elif there not in ours[name] and not force and name not in SET:
-                outcome.skipped[name] = (
-                    f"it reads {there}, neither the old {old} nor what was written: somebody "
-                    "changed it since; --force overwrites it"
-                )
-                continue
-            else:
-                drive.write_raw(name, old)
-                outcome.restored.append(name)
+            back.put(name, outcome)
         except TwoRelayError as error:
             outcome.failed[name] = str(error)
             if isinstance(error, LinkError):
                 dead = "the link is gone"
-    _put_back_bus(drive, {n: raw for n, raw in oldest.items() if n not in known}, outcome, dead)
+    _put_back_bus(drive, back.of_the_bus, outcome, dead)
     return outcome
+
+
+class Return(NamedTuple):
+    """One parameter on its way back: raw values; `why_not`: it is left as it is."""
+
+    parameter: str
+    there: int
+    old: int
+    why_not: str
+
+
+def planned(drive: Drive, intents: list[Intent], *, force: bool = False) -> list[Return]:
+    """What `put_back` would do; raises AccessDenied, LinkError. The bus' own objects are not in it."""
+    back = _Back(drive, intents, force=force)
+    return [back.plan(name) for name in back.order]
+
+
+class _Back:
+    """The way back: settings first, then what commands the drive, each the last first.
+
+    What commands it is written only to a drive that says it is without energy, a set-point always as one
+    that moves nothing, and nothing with a value by which the profile enables the drive.
+    """
+
+    def __init__(self, drive: Drive, intents: list[Intent], *, force: bool) -> None:
+        profile = drive.profile
+        self._drive = drive
+        self._force = force
+        self._oldest = {intent.parameter: intent.old for intent in reversed(intents)}
+        self._ours = {n: {i.new for i in intents if i.parameter == n} for n in self._oldest}
+        self._commands, self._enabling = commands(profile), enabling(profile)
+        self._set_points = set_points(profile)
+        self._positions = position_set_points(profile)
+        names = dict.fromkeys(i.parameter for i in reversed(intents))
+        known = [name for name in names if name in profile.parameters]
+        self.order = sorted(known, key=lambda name: name in self._commands)
+        self.of_the_bus = {n: old for n, old in self._oldest.items() if n not in profile.parameters}
+
+    def plan(self, name: str) -> Return:
+        """What is to be done with one parameter; raises WriteFailed, LinkError."""
+        there, old = self._drive.read_raw(name), self._oldest[name]
+        if name in self._set_points:
+            old = self._drive.read_raw("position_actual") if name in self._positions else 0
+        why = ""
+        if there == old:
+            pass
+        elif (name, old) in self._enabling:
+            why = f"{old} stood there before, which enables the drive: set it yourself"
+        elif (
+            there not in self._ours[name] and not self._force and name not in SET | self._set_points
+        ):
+            why = (
+                f"it reads {there}, neither the old {old} nor what was written: somebody "
+                "changed it since; --force overwrites it"
+            )
+        return Return(name, there, old, why)
+
+    def put(self, name: str, outcome: Restored) -> None:
+        """One parameter; raises WriteFailed, LinkError."""
+        plan = self.plan(name)
+        if plan.why_not:
+            outcome.skipped[name] = plan.why_not
+            return
+        if plan.there == plan.old:
+            outcome.already.append(name)
+            return
+        if name in self._commands and self._drive.is_energised():
+            raise WriteFailed("not put back while the drive is enabled")
+        self._drive.write_raw(name, plan.old)
+        outcome.restored.append(name)
 
 
 def _put_back_bus(drive: Drive, old: dict[str, int], outcome: Restored, dead: str | None) -> None:

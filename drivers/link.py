@@ -12,7 +12,7 @@ from drivers.link_text import Link, host_and_port, is_simulated, parse
 from drivers.pace import Pace, StepPace, WallPace
 from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis, AxisLimits, Mechanics
-from profiles.errors import AccessDenied, IdentityMismatch, LinkError, UsageError
+from profiles.errors import AccessDenied, IdentityMismatch, LinkError, Refused, UsageError
 from profiles.library import fitting, load_profile
 from profiles.schema import Identity, LinkDefaults, Profile
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Link",
     "axis_of",
+    "check_state_of_others",
     "host_and_port",
     "is_simulated",
     "modbus_wire",
@@ -64,6 +65,7 @@ def open_drive(
     cycle: float | None = None,
     trace: Trace | None = None,
     to_stop: bool = False,
+    lenient: bool = False,
 ) -> ProfiledDrive:
     """Connect to the drive of `axis` and check its identity against the profile.
 
@@ -74,6 +76,7 @@ def open_drive(
     cycle : s, of the exchange; default: the axis', else the profile's
     trace : called with every frame
     to_stop : for `stop` alone: nothing but the identity is asked before
+    lenient : for `restore`: the profile lies in a run, and may be one that would be refused today
 
     Raises
     ------
@@ -82,7 +85,7 @@ def open_drive(
     if axis.link is None:
         raise UsageError(f"axis '{axis.name}' has no link: add one to its file")
     link = parse(axis.link)
-    named = load_profile(axis.profile) if axis.profile else None
+    named = load_profile(axis.profile, lenient=lenient or to_stop) if axis.profile else None
     if named is not None and named.bus != ("canopen" if link.scheme == "canopen" else "modbus"):
         raise UsageError(f"profile '{named.name}' is for {named.bus}, the link is {link.scheme}://")
     if named is not None:
@@ -112,7 +115,7 @@ def open_to_stop(axis: Axis) -> ProfiledDrive:
     """
     if axis.link is None or axis.profile is None:
         raise UsageError(f"axis '{axis.name}' has no link or no profile")
-    link, profile = parse(axis.link), load_profile(axis.profile)
+    link, profile = parse(axis.link), load_profile(axis.profile, lenient=True)
     cycle = axis.cycle or profile.link.cycle
     bus: Bus
     if link.scheme == "canopen":
@@ -171,6 +174,16 @@ def state_file(link: Link) -> Path:
     return home() / "virtual" / f"{virtual.name}-{virtual.serial:08x}.json"
 
 
+def check_state_of_others(text: str) -> None:
+    """Raise Refused where a LINK that another computer wrote names a file outside TWORELAY_HOME."""
+    named = parse(text).options.get("state")
+    if named is not None and not Path(named).resolve().is_relative_to(home().resolve()):
+        raise Refused(
+            f"{text}: its state is a file outside {home()}, and the link was written elsewhere: give one of "
+            "yours with --link"
+        )
+
+
 def _open_modbus(
     link: Link, axis: Axis, profile: Profile | None, cycle: float | None, trace: Trace | None
 ) -> tuple[Bus, Profile]:
@@ -189,7 +202,7 @@ def _open_modbus(
 
 
 def modbus_wire(link: Link, profile: Profile | None) -> Wire:
-    """Where a Modbus LINK leads."""
+    """Where a Modbus LINK leads; raises UsageError."""
     from drivers.modbus.wires import RtuLine, TcpWire, Tls
 
     gap = profile.link.silence if profile and not link.is_stepping else 0.0  # a line wants silence
@@ -209,6 +222,11 @@ def modbus_wire(link: Link, profile: Profile | None) -> Wire:
         files = {
             key: Path(link.options[key]) for key in ("ca", "cert", "key") if key in link.options
         }
+        if "ca" not in files or ("key" in files and "cert" not in files):
+            raise UsageError(
+                f"{link.text}: TLS needs ca=FILE, the authority that signed the drive's certificate, and "
+                "cert=FILE&key=FILE where the drive asks for ours"
+            )
         tls = Tls(files["ca"], files.get("cert"), files.get("key"))
     return TcpWire(host.strip("[]"), int(port), link.scheme == "modbus-rtu-tcp", tls, gap)
 

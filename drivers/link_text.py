@@ -22,6 +22,7 @@ _LONGEST = 2000
 
 _NAME = re.compile(r"[A-Za-z0-9_.:/\\-]+")  # of a device or a channel
 _WORD = re.compile(r"[A-Za-z0-9_-]+")  # an interface of python-can, a virtual axis
+_BAUDRATE = re.compile(r"@[0-9]{1,7}$")
 _HOST = r"(?P<host>\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+)"
 _HOST_AND_PORT = re.compile(_HOST + r"(?::(?P<port>[0-9]{1,5}))?")
 _SOCKETCAND = re.compile(_HOST + r":(?P<port>[0-9]{1,5})/(?P<name>[A-Za-z0-9_.-]+)")
@@ -69,7 +70,7 @@ class Link:
         """Serial port of a modbus-rtu: or canopen://slcan/ link, else ''."""
         if self.scheme == "modbus-rtu":
             return unquote(self.place)
-        return self.channel if self.interface == "slcan" else ""
+        return _BAUDRATE.sub("", self.channel) if self.interface == "slcan" else ""
 
     @property
     def interface(self) -> str:
@@ -140,7 +141,10 @@ def _check_place(link: Link) -> None:
     elif link.scheme == "canopen":
         found = _SOCKETCAND.fullmatch(link.channel)
         is_socketcand = link.interface == "socketcand"
-        if not _WORD.fullmatch(link.interface) or not (is_socketcand or _is_name(link.channel)):
+        channel = link.channel
+        if link.interface == "slcan":  # python-can: PORT@BAUDRATE
+            channel = _BAUDRATE.sub("", channel)
+        if not _WORD.fullmatch(link.interface) or not (is_socketcand or _is_name(channel)):
             raise UsageError(
                 f"{link.text}: a CANopen link is canopen://INTERFACE/CHANNEL?node=N, for example "
                 f"canopen://socketcan/can0?node=5; {_NAMES}"
@@ -200,13 +204,6 @@ def _check_options(link: Link) -> None:
         seconds = -1.0
     if not 0 < seconds <= 60:
         raise UsageError(f"{link.text}: timeout={options['timeout']} must be 0…60 s")
-    if link.scheme == "modbus-tls" and (
-        "ca" not in options or ("key" in options and "cert" not in options)
-    ):
-        raise UsageError(
-            f"{link.text}: TLS needs ca=FILE, the authority that signed the drive's certificate, and "
-            "cert=FILE&key=FILE where the drive asks for ours"
-        )
 
 
 def is_simulated(text: str) -> bool:

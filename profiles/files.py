@@ -14,11 +14,14 @@ _WINDOWS = sys.platform == "win32"
 _TRIES, _PAUSE = 100, 0.02  # s: until whoever reads a file on Windows has done
 
 
-def contents(path: Path, most: int) -> bytes:
+def contents(path: Path, most: int, *, links: bool = True) -> bytes:
     """What a file of at most `most` bytes holds; raises OSError, also for what is no file or is larger.
 
-    Devices and pipes, which have no size and no end, are refused before they are opened.
+    Devices and pipes, which have no size and no end, are refused before they are opened, and without
+    `links` what leads elsewhere, too.
     """
+    if not links and path.is_symlink():
+        raise OSError(errno.ELOOP, "it is a link, and none is followed here")
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "it is no file")
     with path.open("rb") as file:

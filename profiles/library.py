@@ -39,16 +39,25 @@ def builtin_names() -> list[str]:
     return sorted(item.name[:-5] for item in folder.iterdir() if item.name.endswith(".toml"))
 
 
-def load_profile(name_or_path: str) -> Profile:
-    """A built-in profile by its name, or any profile by the path of its file."""
-    if _is_path(name_or_path):
-        return _profile_of(read_text(Path(name_or_path)), name_or_path)
-    return _builtin(name_or_path)
+def load_profile(name_or_path: str, *, lenient: bool = False) -> Profile:
+    """A built-in profile by its name, or any profile by the path of its file; raises ProfileError.
+
+    What `check` calls an error is one. `lenient`: not for stopping, restoring and reporting, which must not
+    fail on what an older version took; keys that are not known are passed over then.
+    """
+    if not _is_path(name_or_path):
+        return _builtin(name_or_path)
+    profile = _profile_of(read_text(Path(name_or_path)), name_or_path, lenient=lenient)
+    errors = [finding.text for finding in check(profile) if finding.severity == "error"]
+    if errors and not lenient:
+        more = f" (and {len(errors) - 1} more: tworelay profile check)" if errors[1:] else ""
+        raise ProfileError(f"{name_or_path}: {errors[0]}{more}")
+    return profile
 
 
 def source_text(name_or_path: str) -> str:
     """The profile as it is written; one that extends another is written out whole."""
-    load_profile(name_or_path)
+    load_profile(name_or_path, lenient=True)
     text = read_text(Path(name_or_path)) if _is_path(name_or_path) else _builtin_text(name_or_path)
     tree = parse_tree(text, name_or_path)
     if "extends" not in tree:
@@ -58,8 +67,8 @@ def source_text(name_or_path: str) -> str:
     return tomlkit.dumps(_extended(tree, name_or_path))
 
 
-def _profile_of(text: str, origin: str) -> Profile:
-    return validated(_extended(parse_tree(text, origin), origin), Profile, origin)
+def _profile_of(text: str, origin: str, *, lenient: bool = False) -> Profile:
+    return validated(_extended(parse_tree(text, origin), origin), Profile, origin, lenient=lenient)
 
 
 def _extended(tree: dict[str, Any], origin: str) -> dict[str, Any]:

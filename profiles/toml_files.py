@@ -49,13 +49,31 @@ def parse_tree(text: str, origin: str) -> dict[str, Any]:
         raise ProfileError(f"{origin}: is not TOML: {error}") from None
 
 
-def validated(tree: dict[str, Any], model: type[M], origin: str) -> M:
-    """A tree as a `model`; raises ProfileError."""
+def validated(tree: dict[str, Any], model: type[M], origin: str, *, lenient: bool = False) -> M:
+    """A tree as a `model`; raises ProfileError. `lenient`: without the keys that are not known."""
     try:
         # JSON mode: strict about types, yet an enumeration is written by its value
         return model.model_validate_json(json.dumps(tree, default=str))
     except ValidationError as error:
+        if lenient and _without_unknown(tree, error):
+            return validated(tree, model, origin)
         raise ProfileError(f"{origin}: {_explain(error, model)}") from None
+
+
+def _without_unknown(tree: dict[str, Any], error: ValidationError) -> bool:
+    """Take the keys that are not known out of a tree; whether there were any."""
+    found = False
+    for detail in error.errors(include_url=False):
+        if detail["type"] != "extra_forbidden":
+            continue
+        place: Any = tree
+        way, key = detail["loc"][:-1], detail["loc"][-1]
+        for part in way:
+            if not isinstance(place, dict) or part in place:  # no tag of an address
+                place = place[part]
+        found |= key in place
+        place.pop(key, None)
+    return found
 
 
 def _explain(error: ValidationError, model: type[BaseModel]) -> str:

@@ -10,7 +10,6 @@ from pathlib import Path
 import click
 
 from commissioning.child import shadow
-from commissioning.cli.output import document, say
 
 __all__ = ["main"]
 
@@ -23,6 +22,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "commission": ("commission", "Identify, apply, verify, report."),
     "restore": ("restore", "Put parameters back; finish what a crash interrupted."),
     "stop": ("stop", "Make safe what a dead process left energised."),
+    "adopt": ("adopt", "Take in a run that was exported on another computer."),
     "tune": ("tune", "Gains from a run or an axis, and what each is worth."),
     "analyze": ("analyze", "Friction from a recording of any tool."),
     "plot": ("plot", "A picture of a run: loci."),
@@ -78,8 +78,10 @@ def main() -> None:
             stream.reconfigure(errors="replace")  # an old code page must not end a job
     hidden = shadow(Path(__file__).resolve().parents[2])
     if hidden:
-        say(f"tworelay: {hidden}", err=True)
+        sys.stderr.write(f"tworelay: {hidden}\n")  # nothing of ours can be imported
         sys.exit(2)
+    from commissioning.cli.output import document, say
+
     try:
         cli.main(standalone_mode=False)
     except click.exceptions.Exit as stop:
@@ -102,6 +104,7 @@ def main() -> None:
 
 
 def _report_failure(error: Exception) -> int:
+    from commissioning.cli.output import document, say
     from profiles.errors import TwoRelayError
 
     if isinstance(error, TwoRelayError):

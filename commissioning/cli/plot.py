@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import click
@@ -10,6 +11,7 @@ from commissioning.cli.options import verbose
 from commissioning.cli.output import say
 from commissioning.cli.terminal import Finite
 from profiles.errors import Refused, UsageError
+from profiles.files import replace
 
 __all__ = ["command"]
 
@@ -59,7 +61,13 @@ def loci(run: str, amplitude: float | None, hysteresis: float | None, output: st
         raise UsageError(f"--output {target}: must end with {', '.join(_FORMATS)}")
     try:
         with np.errstate(divide="raise", invalid="raise"):
-            draw(result, amplitude, hysteresis).savefig(target, dpi=150)
+            picture = io.BytesIO()
+            kind = target.suffix.lower()[1:]
+            draw(result, amplitude, hysteresis).savefig(picture, format=kind, dpi=150)
+        if output:
+            target.write_bytes(picture.getvalue())
+        else:
+            replace(target, picture.getvalue())
     except OSError as error:
         raise UsageError(f"{target}: cannot be written: {error.strerror}") from None
     except (KeyError, TypeError, IndexError, ArithmeticError, ValueError) as error:

@@ -10,6 +10,7 @@ from commissioning.cli.options import verbose
 from commissioning.cli.output import say
 from commissioning.cli.terminal import Screen
 from profiles.errors import UsageError
+from profiles.files import replace
 
 __all__ = ["command", "say_report", "write_report"]
 
@@ -40,11 +41,14 @@ def write_report(run: str, output: str | None) -> Path:
 
     with Journal(home()) as journal:
         run_id, folder = resolve(journal, run)
-        events = journal.export(run_id)
+        events = folder.history(journal, run_id)
     target = Path(output) if output else folder.path / "report.html"
     text = render(folder.result(), folder.samples(), events)
     try:
-        target.write_text(text, "utf-8")
+        if output:
+            target.write_text(text, "utf-8")
+        else:
+            replace(target, text.encode())
     except OSError as error:
         raise UsageError(f"report {target}: cannot be written: {error.strerror}") from None
     return target

@@ -14,11 +14,21 @@ __all__ = ["command"]
 @click.argument("run", required=False)
 @click.option("--link", help="Reach the drive by this LINK instead of the run's own.")
 @click.option("--force", is_flag=True, help="Overwrite values that somebody changed since.")
+@click.option("--dry-run", is_flag=True, help="Show every write; write nothing.")
+@click.option("--yes", is_flag=True, help="Confirm in advance.")
 @verbose
-def command(run: str | None, link: str | None, force: bool) -> None:
-    """Put back every parameter that RUN changed (default: the latest run that changed any)."""
+def command(run: str | None, link: str | None, force: bool, dry_run: bool, yes: bool) -> None:
+    """Put back every parameter that RUN changed (default: the latest run that changed any).
+
+    Names the axis and the values, and asks.
+    """
+    from commissioning.cli import show
     from commissioning.session.apply import restore
 
-    screen = Screen(None, yes=True)
+    screen = Screen(None, yes=yes)
     with at_desk(screen) as desk:
-        screen.say(str(restore(run, link, desk, force=force)))
+        outcome = restore(
+            run, link, desk, force=force, dry_run=dry_run,
+            show=lambda rows: show.going_back(rows, screen),
+        )  # fmt: skip
+    screen.say("dry run: nothing was written" if outcome is None else str(outcome))

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from math import floor, log10
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from commissioning.cli.terminal import Screen
 from commissioning.report.words import GAINS, duration, host_law
 
-__all__ = ["outcome", "proposal", "summary", "verification"]
+if TYPE_CHECKING:
+    from commissioning.session.adopt import Adopted
+    from commissioning.settings import Return
+
+__all__ = ["adopted", "going_back", "outcome", "proposal", "summary", "verification"]
 
 _NAMES = {
     "coulomb": "Coulomb friction",
@@ -246,3 +250,37 @@ def proposal(items: list[dict[str, Any]], screen: Screen) -> None:
     screen.table("proposal", ["parameter", "old", "new", "unit", "raw", "rounded by"], rows)
     for item in items:
         screen.say(f"  {item['parameter']}: {item['why']}")
+
+
+def going_back(rows: list[Return], screen: Screen) -> None:
+    """What a restore would write, raw."""
+    if rows:
+        table = [
+            [row.parameter, str(row.there), str(row.old), row.why_not or _remark(row)]
+            for row in rows
+        ]
+        screen.table("restore, raw values", ["parameter", "now", "before", ""], table)
+
+
+def _remark(row: Return) -> str:
+    return "as it is" if row.there == row.old else "will be written"
+
+
+def adopted(found: Adopted, screen: Screen) -> None:
+    """A run of another computer, before it is taken in."""
+    parameters = found.profile.parameters
+    screen.say(f"run {found.run}")
+    screen.say(f"  axis     {found.axis}")
+    screen.say(f"  link     {found.link}")
+    screen.say(f"  drive    serial {found.serial or 'unknown'}")
+    screen.say(f"  profile  {found.profile.name} {found.profile.version}, as known here")
+    rows = [
+        [
+            i["parameter"],
+            str(parameters[i["parameter"]].address) if i["parameter"] in parameters else "PDO",
+            i["kind"], str(i["old"]), str(i["new"]), i["state"],
+        ]
+        for i in found.intents
+    ]  # fmt: skip
+    columns = ["parameter", "address", "kind", "old", "new", "state"]
+    screen.table("what it wrote, raw values", columns, rows)

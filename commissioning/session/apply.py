@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from commissioning.journal import RESTORED, STORED, STORING, Kind, RunRecord
+from commissioning.journal import RESTORED, STORED, STORING, Journal, Kind, RunRecord
 from commissioning.runs import RunFolder, resolve
 from commissioning.session.desk import Desk, connect, none_unfinished, same_drive
-from commissioning.settings import Restored, Settings, put_back, settle
+from commissioning.settings import Restored, Return, Settings, planned, put_back, settle
 from drivers.drive import Drive, StopReport
+from drivers.link import check_state_of_others
 from profiles.axis import Axis
 from profiles.errors import (
     DriveFault,
@@ -29,6 +32,7 @@ __all__ = [
     "apply",
     "axis_of_run",
     "leave_as_found",
+    "own_run",
     "restore",
     "stop",
     "store",
@@ -45,11 +49,16 @@ class _Wanted:
 
 
 def axis_of_run(record: RunRecord, folder: RunFolder, link: str | None) -> Axis:
-    """The axis of a run, on its own link or another, with the profile as it was in the run."""
+    """The axis of a run, on its own link or another, with the profile as it was in the run.
+
+    Raises UsageError, Refused.
+    """
     try:
-        axis = Axis.model_validate_json(_json(record.context["axis"]))
+        axis = Axis.model_validate_json(json.dumps(record.context["axis"]))
     except (KeyError, ValueError, TypeError) as error:
         raise UsageError(f"run {record.id}: its axis cannot be read ({error})") from None
+    if link is None and record.adopted:
+        check_state_of_others(record.link)
     profile = folder.profile_path()
     return axis.model_copy(
         update={
@@ -59,10 +68,14 @@ def axis_of_run(record: RunRecord, folder: RunFolder, link: str | None) -> Axis:
     )
 
 
-def _json(tree: Any) -> str:
-    import json
-
-    return json.dumps(tree)
+def own_run(journal: Journal, run: str) -> tuple[str, RunFolder]:
+    """RUN → its id and folder, to be acted on: an exported run is taken in first. Raises Refused."""
+    run_id, folder = resolve(journal, run)
+    if folder.exported is None:
+        return run_id, folder
+    if journal.knows(run_id):
+        raise Refused(f"{run} is a copy of run {run_id}, which is known here: name that")
+    raise Refused(f"{run} is an exported run: adopt it first ('tworelay adopt {run}')")
 
 
 def apply(
@@ -79,7 +92,7 @@ def apply(
     `show` gets the proposal with the values that are in the drive now. `gains`: rule whose gains of the
     drive's own loops are written, too. `prove_first`: nothing is stored.
     """
-    run_id, folder = resolve(desk.journal, run)
+    run_id, folder = own_run(desk.journal, run)
     record, result = desk.journal.run(run_id), folder.result()
     tuned = _gains(result, gains) if gains is not None else None
     proposal = [*result["compensation"], *(_gain_changes(tuned) if tuned else ())]
@@ -265,10 +278,19 @@ def store(
     )
 
 
-def restore(run: str | None, link: str | None, desk: Desk, *, force: bool) -> Restored:
-    """Put back every parameter that `run` (default: the latest with any) changed.
+def restore(
+    run: str | None,
+    link: str | None,
+    desk: Desk,
+    *,
+    force: bool,
+    show: Callable[[list[Return]], None] = lambda rows: None,
+    dry_run: bool = False,
+) -> Restored | None:
+    """Put back every parameter that `run` (default: the latest with any) changed, once that is agreed.
 
-    Stores where the run has stored, and nothing unless everything is back.
+    None: it was a `dry_run`. Stores where the run has stored, and nothing unless everything is back. `show`
+    gets what will be done.
     """
     if run is None:
         waiting = desk.journal.open_runs()
@@ -288,19 +310,35 @@ def restore(run: str | None, link: str | None, desk: Desk, *, force: bool) -> Re
         return Restored()
     axis = axis_of_run(record, folder, link)
     desk.tell(f"run {run_id}: axis '{record.axis}' on {axis.link}")
-    with connect(axis, None, desk, f"run {run_id}") as drive, desk.interruption.deferred():
+    with connect(axis, None, desk, f"run {run_id}", lenient=True) as drive:
         same_drive(drive.identity(), record.serial, run_id, drive.link, desk)
-        return _put_all_back(drive, desk, run_id, force=force)
+        _check_not_enabled(drive, desk, run_id)
+        intents = desk.journal.intents(run_id, open_only=True)
+        show(planned(drive, intents, force=force))
+        stores = drive.profile.store is not None and desk.journal.memory(run_id) in _OURS
+        if dry_run:
+            return None
+        desk.agree(
+            f"These values will be WRITTEN BACK to axis '{record.axis}'{' and stored' if stores else ''}.",
+            record.axis,
+        )
+        with desk.interruption.deferred():
+            return _put_all_back(drive, desk, run_id, force=force)
 
 
-def _put_all_back(drive: Drive, desk: Desk, run_id: str, *, force: bool) -> Restored:
-    """Everything that a run changed in the connected drive; raises WriteFailed, PreflightRefused."""
+def _check_not_enabled(drive: Drive, desk: Desk, run_id: str) -> None:
+    """Raises PreflightRefused: nothing is put back in a drive that controls its axis."""
     if drive.is_energised():
         profile = RunFolder.of(desk.journal, run_id).profile_path()
         raise PreflightRefused(
             f'the drive is enabled: \'tworelay stop "{drive.link}" --profile "{profile}"\' makes it safe, '
             f"then 'tworelay restore {run_id}'"
         )
+
+
+def _put_all_back(drive: Drive, desk: Desk, run_id: str, *, force: bool) -> Restored:
+    """Everything that a run changed in the connected drive; raises WriteFailed, PreflightRefused."""
+    _check_not_enabled(drive, desk, run_id)
     intents = desk.journal.intents(run_id, open_only=True)
     settings = Settings(desk.journal, run_id, drive)
     with settings.exclusive_access():
@@ -348,7 +386,8 @@ def leave_as_found(run: str, desk: Desk) -> tuple[str, tuple[str, ...]]:
         return "", ()
     record, folder = desk.journal.run(run), RunFolder.of(desk.journal, run)
     try:
-        with connect(axis_of_run(record, folder, None), None, desk, f"run {run}") as drive:
+        axis = axis_of_run(record, folder, None)
+        with connect(axis, None, desk, f"run {run}", lenient=True) as drive:
             found = drive.identity()
             if found.serial != record.serial:
                 raise LinkError(f"another drive is on the link, with serial {found.serial}")
@@ -365,10 +404,8 @@ def leave_as_found(run: str, desk: Desk) -> tuple[str, tuple[str, ...]]:
 
 def _resolve_any(desk: Desk, run: str) -> tuple[str, RunFolder]:
     """Like `resolve`, but a run killed before it wrote files is good enough to restore."""
-    from pathlib import Path
-
     if Path(run).is_dir():
-        return resolve(desk.journal, run)
+        return own_run(desk.journal, run)
     record = desk.journal.run(run)
     return record.id, RunFolder.of(desk.journal, record.id)
 

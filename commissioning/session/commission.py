@@ -31,7 +31,7 @@ def prove_and_store(run: str, desk: Desk, show: Show, limits: dict[str, Any]) ->
     """
     folder = RunFolder.of(desk.journal, run)
     try:
-        provable(load_profile(str(folder.profile_path())))
+        provable(load_profile(str(folder.profile_path()), lenient=True))
     except PreflightRefused as error:
         error.args = (f"{error}. Nothing was written; 'tworelay apply {run}' writes it unproved",)
         raise

@@ -92,17 +92,23 @@ def none_unfinished(desk: Desk, serial: str) -> None:
 
 @contextlib.contextmanager
 def connect(
-    axis: Axis, cycle: float | None, desk: Desk, doing: str, *, to_stop: bool = False
+    axis: Axis,
+    cycle: float | None,
+    desk: Desk,
+    doing: str,
+    *,
+    to_stop: bool = False,
+    lenient: bool = False,
 ) -> Generator[Drive]:
     """The drive of `axis`; closed, and stopped if need be, on every way out.
 
     `doing` : what for, for those who are refused meanwhile. Raises Refused while another process has its
-    bus; `to_stop` does not ask.
+    bus; `to_stop` does not ask. `lenient`: the profile is a run's own, of whatever version.
     """
     _allowed_here(axis)
     lock = owned(axis.link, doing) if axis.link and not to_stop else contextlib.nullcontext()
     with lock:
-        drive = open_drive(axis, cycle=cycle, trace=desk.trace, to_stop=to_stop)
+        drive = open_drive(axis, cycle=cycle, trace=desk.trace, to_stop=to_stop, lenient=lenient)
         try:
             yield drive
         finally:

@@ -287,7 +287,7 @@ def tune_run(run: str, drive: DriveLoop, desk: Desk) -> tuple[dict[str, Any], li
     """Tune a run, keep the gains with it, and return its result and what there is to say."""
     run_id, folder = resolve(desk.journal, run)
     result = folder.result()
-    axis = axis_of_run(desk.journal.run(run_id), folder, None)
+    axis = axis_of_run(folder.record(desk.journal, run_id), folder, None)
     tuned = tune(result, axis, load_profile(axis.profile or ""), drive)
     for item in tuned.sets:  # what is in the drive stays said
         item["written"] = any(

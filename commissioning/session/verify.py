@@ -12,8 +12,7 @@ from commissioning.guardian import guarded
 from commissioning.identification.tracking import TrackingError, at_rest, creeping, reversal_error
 from commissioning.journal import RESTORED, STORED, STORING, RunRecord
 from commissioning.runner import Recorder
-from commissioning.runs import resolve
-from commissioning.session.apply import axis_of_run, store, unverified
+from commissioning.session.apply import axis_of_run, own_run, store, unverified
 from commissioning.session.armed import noted
 from commissioning.session.desk import Desk, Options, connect, none_unfinished, same_drive
 from commissioning.session.measurement import Measurement
@@ -70,7 +69,7 @@ def verify(
     TwoRelayError
         Anything else; the drive has the values that it had when this began, or the message says what it has.
     """
-    run_id, folder = resolve(desk.journal, run)
+    run_id, folder = own_run(desk.journal, run)
     record, result = desk.journal.run(run_id), folder.result()
     _check(result, run_id)
     axis = axis_of_run(record, folder, link)

@@ -29,6 +29,7 @@ class Drawer:
         self.bus: dict[str, tuple[int, int]] = {}
         self.lock: dict[str, int] = {}
         self.run = ""
+        self.energised = False
         self._journal = journal
 
     def read_raw(self, name: str) -> int:
@@ -45,6 +46,9 @@ class Drawer:
         if f"write {name}" in self.broken:
             raise self.broken[f"write {name}"]
         self.values[name] = raw
+
+    def is_energised(self) -> bool:
+        return self.energised
 
     def bus_changes(self) -> dict[str, tuple[int, int]]:
         return self.bus
@@ -152,7 +156,7 @@ def test_set_points_are_remembered_as_they_are_and_nothing_else_is(
     assert state(journal, drive) == [("torque_target", 40, 40, "verified")]
     drive.values["torque_target"] = 55  # what the motion left
     assert settings.restore().restored == ["torque_target"]
-    assert drive.values["torque_target"] == 40
+    assert drive.values["torque_target"] == 0, "whatever stood there, nothing is to move"
 
 
 def test_what_the_cycle_changes_of_the_bus_is_journalled_and_put_back_at_once(
@@ -229,11 +233,36 @@ def test_every_value_that_we_wrote_counts_as_ours(drive: Drawer) -> None:
     assert drive.values["max_torque"] == 1
 
 
-def test_a_command_is_put_back_whatever_the_motion_left_in_it(drive: Drawer) -> None:
-    drive.values["torque_target"] = 123
-    outcome = restored(drive, intent("torque_target", 4, 4))
-    assert outcome.restored == ["torque_target"]
-    assert drive.values["torque_target"] == 4
+def test_a_set_point_gets_its_resting_value_whatever_stood_in_it(drive: Drawer) -> None:
+    drive.values |= {"torque_target": 123, "position_target": 7, "position_actual": -55}
+    outcome = restored(drive, intent("torque_target", 300, 300), intent("position_target", 9, 9))
+    assert outcome.restored == ["position_target", "torque_target"]
+    assert drive.values["torque_target"] == 0
+    assert drive.values["position_target"] == -55, "where the axis is"
+
+
+def test_what_commands_the_drive_is_put_back_last_and_only_without_energy(drive: Drawer) -> None:
+    drive.values |= {"mode_of_operation": 10, "max_torque": 2}
+    mine = (intent("max_torque", 1, 2, 1), intent("mode_of_operation", 8, 10, 2))
+    drive.energised = True
+    outcome = restored(drive, *mine)
+    assert outcome.failed == {"mode_of_operation": "not put back while the drive is enabled"}
+    assert outcome.restored == ["max_torque"]
+    drive.energised = False
+    drive.values["max_torque"] = 2
+    drive.done.clear()
+    assert restored(drive, *mine).complete
+    assert [d for d in drive.done if d.startswith("write")] == [
+        "write max_torque=1", "write mode_of_operation=8",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("word", [0x06, 0x07, 0x0F])
+def test_a_word_that_enables_is_never_put_back(drive: Drawer, word: int) -> None:
+    outcome = restored(drive, intent("controlword", word, 0), force=True)
+    assert "which enables the drive" in outcome.skipped["controlword"]
+    assert drive.values["controlword"] == 0
+    assert not outcome.complete
 
 
 def test_a_refused_parameter_does_not_keep_the_others_back(drive: Drawer) -> None:

@@ -26,7 +26,7 @@ WATCHED = (
 )  # fmt: skip
 OF_TWO_KEYS = (
     "max_torque", "max_speed", "watchdog_time", "control_mode", "key_1", "key_2", "halt", "torque_target",
-    "position_target", "torque_offset", "friction_positive", "friction_negative",
+    "torque_offset", "friction_positive", "friction_negative",
 )  # fmt: skip
 
 

@@ -140,7 +140,7 @@ def test_what_is_not_proved_does_not_stay(
     (report,) = (home() / "runs").glob("*/report.html")
     assert escape(note) in report.read_text("utf-8")
     assert not any(item["written"] for item in result["compensation"])
-    assert tworelay("restore").stdout.strip() == "nothing to restore"
+    assert tworelay("restore", "--yes").stdout.strip() == "nothing to restore"
 
 
 def test_what_cannot_be_put_back_is_named_and_can_be_restored_later(
@@ -168,7 +168,7 @@ def test_what_cannot_be_put_back_is_named_and_can_be_restored_later(
     assert {"coulomb_negative"} <= set(named[1].split(", ")) <= left
     run = re.search(r"'tworelay restore (\S+)'", line)
     assert run is not None
-    restored = tworelay("restore", run[1])
+    restored = tworelay("restore", "--yes", run[1])
     assert restored.returncode == 0, restored.stderr
     assert values(link) == stored(tmp_path) == FOUND
     assert events() == []
@@ -193,7 +193,7 @@ def test_only_what_is_not_back_is_named_and_counts_as_written(
     items = json.loads((tmp_path / "run.json").read_text())["compensation"]
     written = {item["parameter"] for item in items if item["written"]}
     assert written == {"coulomb_positive"}
-    assert tworelay("restore").returncode == 0
+    assert tworelay("restore", "--yes").returncode == 0
     assert values(link) == FOUND
 
 
@@ -279,7 +279,7 @@ def test_gains_in_the_memory_are_not_forgotten_when_the_compensation_does_not_he
     monkeypatch.setattr(verify, "reversal_error", lambda command, position, turns: (0.01, position))
     assert tworelay("verify", "last", "--yes").returncode == 7
     assert open_parameters() == set(gains)
-    assert tworelay("restore").returncode == 0
+    assert tworelay("restore", "--yes").returncode == 0
     kept = json.loads((tmp_path / "drive-0.json").read_text())
     assert {name: kept[name] for name in gains} == before
     assert events()[-1] == RESTORED
@@ -323,7 +323,7 @@ def test_a_store_whose_answer_is_lost_is_told_to_be_doubtful(
     assert "the drive's memory may hold what was to stay: 'tworelay restore" in done.stderr
     assert values(link) == FOUND
     assert stored(tmp_path) != FOUND
-    assert tworelay("restore").returncode == 0
+    assert tworelay("restore", "--yes").returncode == 0
     assert values(link) == stored(tmp_path) == FOUND
 
 
@@ -364,7 +364,7 @@ def test_nothing_is_stored_unless_everything_is_back(
     before = stored(tmp_path)
     with monkeypatch.context() as broken:
         refusing(broken, {"coulomb_negative"})
-        done = tworelay("restore")
+        done = tworelay("restore", "--yes")
     assert done.returncode == 7
     assert (
         "failed coulomb_negative ('coulomb_negative': register 0402h: exception 3)" in done.stderr
@@ -373,7 +373,7 @@ def test_nothing_is_stored_unless_everything_is_back(
     assert stored(tmp_path) == before, "the memory has one whole set, not half of two"
     assert events() == [STORING, STORED]
     assert {"coulomb_positive", "coulomb_negative"} <= open_parameters()
-    assert tworelay("restore").returncode == 0
+    assert tworelay("restore", "--yes").returncode == 0
     assert values(applied) == stored(tmp_path) == FOUND
     assert events() == [STORING, STORED, STORING, RESTORED]
     assert open_parameters() == set()
@@ -384,7 +384,7 @@ def test_a_store_that_fails_names_what_is_not_stored_and_is_not_counted(
 ) -> None:
     with monkeypatch.context() as broken:
         refusing(broken, {"store_command"})
-        done = tworelay("restore")
+        done = tworelay("restore", "--yes")
     assert done.returncode == 7
     assert "store: 'store_command': register 0500h: exception 3" in done.stderr
     named = re.search(r"not known to be stored: ([\w, ]+); 'tworelay restore", done.stderr)
@@ -392,7 +392,7 @@ def test_a_store_that_fails_names_what_is_not_stored_and_is_not_counted(
     assert set(named[1].split(", ")) == open_parameters() >= {"coulomb_positive"}
     with Journal(home()) as journal:
         assert journal.stores(journal.run("last").id) == 1
-    assert tworelay("restore").returncode == 0
+    assert tworelay("restore", "--yes").returncode == 0
     assert values(applied) == stored(tmp_path) == FOUND
 
 
@@ -401,7 +401,7 @@ def test_a_busy_drive_is_asked_again(
     applied: str, tworelay: Tworelay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     asked = refusing(monkeypatch, {name}, busy=True, times=8)
-    done = tworelay("restore")
+    done = tworelay("restore", "--yes")
     assert done.returncode == 0, done.stderr
     assert len(asked) == 8
     assert values(applied) == stored(tmp_path) == FOUND
@@ -412,7 +412,7 @@ def test_patience_with_a_busy_drive_ends_and_its_key_is_named(
     applied: str, tworelay: Tworelay, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = refusing(monkeypatch, {"coulomb_negative"}, busy=True)
-    done = tworelay("restore")
+    done = tworelay("restore", "--yes")
     assert done.returncode == 7
     assert "it was asked again for 5 s ([link] patience in the profile)" in done.stderr
     assert len(asked) == 101, "every 50 ms"
@@ -428,7 +428,7 @@ def test_a_restore_stores_only_what_the_run_stored(
         db.execute("DELETE FROM events")
     db.close()
     stamp = (tmp_path / "drive-0.json").stat().st_mtime_ns
-    assert tworelay("restore").returncode == 0
+    assert tworelay("restore", "--yes").returncode == 0
     assert values(link) == FOUND
     assert events() == []
     assert (tmp_path / "drive-0.json").stat().st_mtime_ns == stamp
@@ -442,7 +442,7 @@ def test_a_store_that_was_cut_off_is_one_that_may_have_happened(
     with sqlite3.connect(home() / "journal.sqlite") as db:
         db.execute("DELETE FROM events WHERE text=?", (STORED,))
     db.close()
-    assert tworelay("restore").returncode == 0
+    assert tworelay("restore", "--yes").returncode == 0
     assert values(link) == stored(tmp_path) == FOUND
     assert events() == [STORING, STORING, RESTORED]
 
@@ -463,7 +463,7 @@ def test_the_lock_on_other_masters_is_not_stored(
 
     monkeypatch.setattr(ProfiledDrive, "exclusive_access", lock)
     monkeypatch.setattr(ProfiledDrive, "store", looked)
-    assert tworelay("restore").returncode == 0
+    assert tworelay("restore", "--yes").returncode == 0
     assert tworelay("apply", "last", "--yes").returncode == 0
     assert locked == [3000, 3000]
 

@@ -359,7 +359,7 @@ def test_the_link_is_cut_in_mid_test(tworelay: Tworelay, serve: Serve) -> None:
     drive.close()
     refused = tworelay("identify", link, *TRAVEL)
     one_line(refused, 3, "was cut off and left settings changed")
-    restored = tworelay("restore", "--link", link)
+    restored = tworelay("restore", "--yes", "--link", link)
     assert restored.returncode == 0, restored.stderr
     assert_safe_and_complete(link)
 
@@ -383,7 +383,7 @@ def test_a_run_killed_with_a_profile_of_its_own_can_be_restored(
     drive = opened(link)
     drive.stop()  # the clock stands still, so no watchdog did it
     drive.close()
-    restored = tworelay("restore")
+    restored = tworelay("restore", "--yes")
     assert restored.returncode == 0, restored.stderr
     assert_safe_and_complete(link)
 
@@ -404,7 +404,7 @@ def test_a_drive_has_one_owner_and_a_dead_one_is_none(
         process.kill()
         process.wait(10)
     stopped_by_its_watchdog(link)
-    done = tworelay("restore")
+    done = tworelay("restore", "--yes")
     assert done.returncode == 0, done.stderr
     assert_safe_and_complete(link)
 
@@ -436,7 +436,7 @@ def killed_in_mid_test(tworelay: Tworelay, link: str) -> None:
         process.kill()
         process.wait(10)
     stopped_by_its_watchdog(link)
-    restored = tworelay("restore")
+    restored = tworelay("restore", "--yes")
     assert restored.returncode == 0, restored.stderr
     assert "max_torque" in restored.stdout
     assert_safe_and_complete(link)

@@ -35,7 +35,7 @@ def commission(
     assert drive.read_raw("max_torque") == 3000, "the experiment's limit is put back"
     drive.close()
 
-    restored = tworelay("restore", result["run"])
+    restored = tworelay("restore", "--yes", result["run"])
     assert restored.returncode == 0, restored.stderr
     assert "coulomb_negative, coulomb_positive" in restored.stdout
     drive = open_drive(axis_of(link))

@@ -102,7 +102,7 @@ def test_the_loop_is_killed_and_the_axis_is_stopped(
         process.wait(10)
     assert "guardian: the loop has died" in guardian_s_word()
     assert not left_energised(axis)
-    assert tworelay("restore").returncode == 0
+    assert tworelay("restore", "--yes").returncode == 0
 
 
 def test_the_loop_is_frozen_and_the_axis_is_stopped(serve: Serve, tmp_path: Path) -> None:

@@ -88,9 +88,11 @@ def test_position_targets_go_to_a_drive_in_position_mode(
     assert kinds == {"compensation"}
     drive = open_drive(Axis(link=link, profile=TWO_KEY))
     left = {
-        n: drive.read_raw(n) for n in ("control_mode", "key_1", "key_2", "halt", "position_target")
+        n: drive.read_raw(n) for n in ("control_mode", "key_1", "key_2", "halt", "torque_target")
     }
+    rest = drive.read_raw("position_target") - drive.read_raw("position_actual")
     drive.close()
+    assert abs(rest) < 2, "a position target that is left is where the axis is"
     assert left == dict.fromkeys(left, 0)
 
 

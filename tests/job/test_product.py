@@ -57,7 +57,7 @@ def test_the_demo_does_the_whole_job_and_names_its_report(tworelay: Tworelay) ->
     report = re.search(r"^report (\S+)$", done.stdout, re.MULTILINE)
     assert report is not None
     assert "Does it help?" in Path(report[1]).read_text("utf-8")
-    taken_back = tworelay("restore", "last", "--link", "modbus-tcp://127.0.0.1:1")
+    taken_back = tworelay("restore", "--yes", "last", "--link", "modbus-tcp://127.0.0.1:1")
     assert taken_back.returncode == 4, "its drive is gone with it"
 
 

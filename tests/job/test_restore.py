@@ -53,9 +53,9 @@ def test_a_store_that_failed_is_done_again(
     assert not state.exists()
     assert tworelay("apply", "last", "--yes").returncode == 0, "the values were there, unstored"
     assert json.loads(state.read_text())["coulomb_positive"] > 0
-    with_broken_store("restore")
+    with_broken_store("restore", "--yes")
     assert json.loads(state.read_text())["coulomb_positive"] > 0
-    assert tworelay("restore").returncode == 0
+    assert tworelay("restore", "--yes").returncode == 0
     assert json.loads(state.read_text())["coulomb_positive"] == 0
 
 
@@ -67,10 +67,10 @@ def test_restore_refuses_a_value_that_somebody_changed_since(
     drive = open_drive(axis_of(link))
     drive.write_raw("coulomb_positive", 42)
     drive.close()
-    refused = tworelay("restore")
+    refused = tworelay("restore", "--yes")
     assert refused.returncode == 7
     assert "skipped coulomb_positive (it reads 42" in refused.stderr
-    assert tworelay("restore", "--force").returncode == 0
+    assert tworelay("restore", "--yes", "--force").returncode == 0
 
 
 def test_an_exported_run_is_a_run(
@@ -84,6 +84,13 @@ def test_an_exported_run_is_a_run(
     assert "samples.csv" in exported.stdout
     elsewhere = {"TWORELAY_HOME": os.path.join(tmp_path, "elsewhere")}  # noqa: PTH118
     assert tworelay("report", folder, environment=elsewhere).returncode == 0
-    restored = tworelay("restore", folder, environment=elsewhere)
+    for act in ("apply", "verify", "restore"):
+        refused = tworelay(act, folder, "--yes", environment=elsewhere)
+        assert refused.returncode == 3
+        assert f"adopt it first ('tworelay adopt {folder}')" in refused.stderr
+    taken = tworelay("adopt", folder, "--yes", environment=elsewhere)
+    assert taken.returncode == 0, taken.stderr
+    run = taken.stdout.split()[-1]
+    restored = tworelay("restore", run, "--yes", environment=elsewhere)
     assert restored.returncode == 0, restored.stderr
     assert "coulomb_negative, coulomb_positive" in restored.stdout

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import jsonschema
 import pytest
 
+from drivers.home import home
 from drivers.link import axis_of, open_drive
 from profiles.library import source_text
 from tests.command import ROOT
@@ -87,7 +89,7 @@ def test_gains_are_written_only_by_name_and_taken_back(tworelay: Tworelay, serve
     result = json.loads(written.stdout)
     jsonschema.validate(result, SCHEMA)
     assert [s["rule"] for s in result["tuning"] if s["written"]] == ["cascade"]
-    restored = tworelay("restore")
+    restored = tworelay("restore", "--yes")
     assert restored.returncode == 0, restored.stderr
     assert in_drive() == before
 
@@ -200,10 +202,13 @@ def test_a_run_that_names_other_parameters_as_gains_writes_none(
                 item["parameters"][0] |= {"parameter": "max_torque", "new_raw": 500}
 
     folder = changed(tworelay, tmp_path / "x", limits)
-    refused(
-        tworelay("apply", folder, "--gains", "cascade", "--yes"), 3, "not those that the profile"
-    )
-    assert tuned["run"]
+    other = {"TWORELAY_HOME": str(tmp_path / "other")}
+    done = tworelay("adopt", folder, "--yes", environment=other)
+    refused(done, 3, "'max_torque' has protection 'experiment' and is written as gain")
+    own = home() / "runs" / tuned["run"] / "run.json"  # and where somebody changed it afterwards
+    shutil.copy(f"{folder}/run.json", own)
+    done = tworelay("apply", "last", "--gains", "cascade", "--yes")
+    refused(done, 3, "not those that the profile")
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ def test_what_helps_stays_and_is_stored(serve: Serve, tworelay: Tworelay, tmp_pa
     page = Path(tworelay("report", run).stdout.strip()).read_text()
     assert "Does it help?" in page
     assert "in the drive now" in page
-    assert tworelay("restore", run).returncode == 0
+    assert tworelay("restore", "--yes", run).returncode == 0
     assert values(link) == [0, 0, 0, 0]
 
 

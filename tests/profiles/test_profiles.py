@@ -124,7 +124,11 @@ def test_check_finds_what_will_go_wrong(tmp_path: Path) -> None:
     )
     path = tmp_path / "mine.toml"
     path.write_text(text)
-    found = {(f.severity, f.text) for f in check(load_profile(str(path)))}
+    found = {(f.severity, f.text) for f in check(load_profile(str(path), lenient=True))}
+    with pytest.raises(
+        ProfileError, match=r"overlaps 'coulomb_positive' at register 0401h \(and 1 more"
+    ):
+        load_profile(str(path))
     assert any("coulomb_negative] overlaps 'coulomb_positive'" in text for _, text in found)
     assert any("torque mode only" in text for _, text in found)
     assert any("does not notice a dead link" in text for _, text in found)

@@ -22,7 +22,7 @@ HANDLERS = [
     "modbus-rtu:///dev/ttyUSB0?file={file}",
     "canopen://slcan/spy%3A%2F%2F%2Fdev%2Fnull%3Ffile%3D{file}?node=5",
     "canopen://slcan/socket%3A%2F%2F127.0.0.1:1?node=5",
-    "canopen://slcan/%2Fdev%2FttyACM0%40115200?node=5",
+    "canopen://slcan/%2Fdev%2FttyACM0@x?node=5",
     "canopen://slcan/%2Fdev%2FttyACM0?node=5&logfile={file}",
     "canopen://../x/can0?node=5",
     "canopen://socketcan/can0%00?node=5",
@@ -132,7 +132,8 @@ def test_what_leads_out_of_the_pseudo_terminals_is_not_simulated(tmp_path: Path)
     "link", ["modbus-rtu:COM5?unit=1", r"modbus-rtu:\\.\COM12", "modbus-rtu:///dev/serial/by-id/usb-A_b-if00",
     "canopen://slcan/COM3?node=5", "canopen://pcan/PCAN_USBBUS1?node=5", "canopen://kvaser/0?node=5",
     "modbus-tcp://[fe80::1]:502?unit=1", "modbus-tcp://drive-7.plant_2:502", "modbus-tcp://10.0.0.1",
-    "canopen://socketcand/[::1]:29536/can0?node=5", "canopen://slcan/%2Fdev%2FttyACM0?node=5&bitrate=500000"],
+    "canopen://socketcand/[::1]:29536/can0?node=5", "canopen://slcan/%2Fdev%2FttyACM0?node=5&bitrate=500000",
+    "canopen://slcan/%2Fdev%2FttyACM0@115200?node=5"],
 )  # fmt: skip
 def test_what_people_have_is_a_link(link: str) -> None:
     assert parse(link).text == link

@@ -1,0 +1,136 @@
+"""A run of another computer is taken in: shown, compared with what is known here, and agreed to.
+
+What it says about the drive is not believed. Its profile stays outside: the profile of the drive as it is
+known here is what the run is applied, verified and restored by.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from commissioning.runs import RunFolder, resolve
+from commissioning.session.apply import axis_of_run
+from commissioning.session.desk import Desk
+from profiles.commands import commands
+from profiles.errors import ProfileError, Refused, UnknownName, UsageError
+from profiles.library import load_profile, source_text
+from profiles.schema import Profile, Protection
+
+__all__ = ["Adopted", "adopt"]
+
+_PDO = re.compile(r"1[0-9A-F]{3}h:[0-9A-F]{2}")  # the bus' own: its driver looks at each by itself
+
+
+@dataclass(frozen=True, slots=True)
+class Adopted:
+    """What is shown before a run is taken in.
+
+    Attributes
+    ----------
+    run, axis, link, serial : as the run says
+    profile : the one known here
+    intents : rows of the journal: kind, parameter, old, new, state
+    """
+
+    run: str
+    axis: str
+    link: str
+    serial: str
+    profile: Profile
+    intents: list[dict[str, Any]]
+
+
+def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted], None]) -> str:
+    """Take in the exported run in `path`; returns its id.
+
+    `profile` : name or file of the drive's profile, where none of that name is built in
+
+    Raises UsageError, Refused.
+    """
+    run, folder = resolve(desk.journal, str(path))
+    tree = folder.exported
+    if tree is None:
+        raise UsageError(f"{path}: is no folder of an exported run")
+    if desk.journal.knows(run):
+        raise Refused(f"run {run} is known here: name it instead of the folder")
+    target, result = RunFolder.of(desk.journal, run), folder.result()
+    record = tree["run"]
+    for key, there in (("run", run), ("axis", record["axis"]), ("link", record["link"])):
+        if result[key] != there:
+            raise UsageError(
+                f"{path}: its result and its journal are of two runs ('{key}' differs)"
+            )
+    if axis_of_run(folder.record(desk.journal, run), folder, None).name != record["axis"]:
+        raise UsageError(f"{path}: its axis is named otherwise than its run")
+    name, here = _known_here(profile, result, path)
+    theirs = _of_the_run(folder, path)
+    found = _differences(tree["intents"], result, theirs, here)
+    if found:
+        raise Refused(
+            f"{path}: not taken in, it differs from profile '{here.name}' as it is known here: "
+            + "; ".join(found)
+        )
+    show(Adopted(run, record["axis"], record["link"], record["serial"], here, tree["intents"]))
+    desk.agree(
+        "This run of another computer will be TAKEN IN: 'apply', 'verify' and 'restore' then write to the "
+        f"drive of axis '{record['axis']}' by it.",
+        record["axis"],
+    )
+    samples = folder.samples()
+    target.save(result, samples, source_text(name))
+    return desk.journal.adopt(tree, str(path))
+
+
+def _known_here(profile: str | None, result: dict[str, Any], path: Path) -> tuple[str, Profile]:
+    """The drive's profile, and what it is loaded by: not the one that lies in the folder."""
+    if profile is not None:
+        return profile, load_profile(profile)
+    name = (result["profile"] or {}).get("name", "")
+    try:
+        if "/" in name or "\\" in name or name.endswith(".toml"):
+            raise UnknownName("profile", name, [])
+        return name, load_profile(name)
+    except UnknownName:
+        raise Refused(
+            f"{path}: its drive's profile '{name}' is not built in: name yours with --profile"
+        ) from None
+
+
+def _of_the_run(folder: RunFolder, path: Path) -> Profile:
+    """The profile that its values were written by."""
+    try:
+        return load_profile(str(folder.profile_path()), lenient=True)
+    except ProfileError as error:
+        raise Refused(f"{path}: not taken in, its own profile cannot be read: {error}") from None
+
+
+def _differences(
+    intents: list[dict[str, Any]], result: dict[str, Any], theirs: Profile, here: Profile
+) -> list[str]:
+    """What the run would write otherwise than the profile known here says, by name."""
+    wanted = {(i["parameter"], i["kind"]) for i in intents}
+    wanted |= {(change["parameter"], "compensation") for change in result["compensation"]}
+    sets = (item["parameters"] for item in result["tuning"])
+    wanted |= {(change["parameter"], "gain") for item in sets for change in item}
+    found = []
+    for name, kind in sorted(wanted):
+        if kind == "experiment" and here.bus == "canopen" and _PDO.fullmatch(name):
+            continue
+        ours, other = here.parameters.get(name), theirs.parameters.get(name)
+        if ours is None or other is None:
+            found.append(f"'{name}' is {'not in it' if ours is None else 'not in its own profile'}")
+        elif ours.address != other.address:
+            found.append(f"'{name}' is at {ours.address} and not at {other.address}")
+        elif ours.protection != other.protection:
+            found.append(
+                f"'{name}' has protection '{ours.protection}' and not '{other.protection}'"
+            )
+        elif ours.protection != kind and not (
+            kind == Protection.EXPERIMENT and name in commands(here)
+        ):
+            found.append(f"'{name}' has protection '{ours.protection}' and is written as {kind}")
+    return found

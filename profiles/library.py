@@ -29,6 +29,7 @@ __all__ = [
     "draft_from_table",
     "fitting",
     "load_profile",
+    "read_profile",
     "source_text",
 ]
 
@@ -42,12 +43,12 @@ def builtin_names() -> list[str]:
 def load_profile(name_or_path: str, *, lenient: bool = False) -> Profile:
     """A built-in profile by its name, or any profile by the path of its file; raises ProfileError.
 
-    What `check` calls an error is one. `lenient`: not for stopping, restoring and reporting, which must not
-    fail on what an older version took; keys that are not known are passed over then.
+    What `check` calls an error is one. Not so with `lenient`, for stopping, restoring and reporting, which
+    must not fail on what an older version took: keys that are not known are passed over, too.
     """
+    profile = read_profile(name_or_path, lenient=lenient)
     if not _is_path(name_or_path):
-        return _builtin(name_or_path)
-    profile = _profile_of(read_text(Path(name_or_path)), name_or_path, lenient=lenient)
+        return profile
     errors = [finding.text for finding in check(profile) if finding.severity == "error"]
     if errors and not lenient:
         more = f" (and {len(errors) - 1} more: tworelay profile check)" if errors[1:] else ""
@@ -55,9 +56,16 @@ def load_profile(name_or_path: str, *, lenient: bool = False) -> Profile:
     return profile
 
 
+def read_profile(name_or_path: str, *, lenient: bool = False) -> Profile:
+    """The same, whatever `check` says of it."""
+    if not _is_path(name_or_path):
+        return _builtin(name_or_path)
+    return _profile_of(read_text(Path(name_or_path)), name_or_path, lenient=lenient)
+
+
 def source_text(name_or_path: str) -> str:
     """The profile as it is written; one that extends another is written out whole."""
-    load_profile(name_or_path, lenient=True)
+    read_profile(name_or_path)
     text = read_text(Path(name_or_path)) if _is_path(name_or_path) else _builtin_text(name_or_path)
     tree = parse_tree(text, name_or_path)
     if "extends" not in tree:

@@ -48,9 +48,9 @@ def show(profile: str) -> None:
 def check_profile(profile: str) -> None:
     """Find what is wrong with PROFILE, a built-in name or a file. Errors end with exit code 2."""
     from profiles.errors import ProfileError
-    from profiles.library import check, load_profile
+    from profiles.library import check, read_profile
 
-    loaded = load_profile(profile, lenient=True)
+    loaded = read_profile(profile)
     findings = check(loaded)
     for finding in findings:
         say(f"{finding.severity}: {finding.text}")
@@ -82,7 +82,7 @@ def new(eds: str | None, table: str | None, drive: str | None, output: str, forc
         draft_from_csv,
         draft_from_eds,
         draft_from_stored_eds,
-        load_profile,
+        read_profile,
     )
 
     target = Path(output)
@@ -111,7 +111,7 @@ def new(eds: str | None, table: str | None, drive: str | None, output: str, forc
         raise UsageError(f"--output {target}: cannot be written: {error.strerror}") from None
     for note in draft.notes:
         say(f"note: {note}")
-    loaded = load_profile(str(target), lenient=True)
+    loaded = read_profile(str(target))
     for finding in check(loaded):
         say(f"{finding.severity}: {finding.text}")
     say(

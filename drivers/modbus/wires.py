@@ -9,11 +9,22 @@ from pathlib import Path
 
 from drivers.serial_port import SerialPort
 from profiles.errors import LinkError, UsageError
+from profiles.files import contents
 
 __all__ = ["RtuLine", "TcpWire", "Tls", "Wire"]
 
 _FAST = 19200  # baud, above which the silence no longer shrinks
 _FAST_SILENCE = 0.00175  # s (Modbus over Serial Line V1.02, 2.5.1.1)
+
+
+_LARGEST = 10_000_000  # bytes of a file with certificates
+_NOT_BY_RFC_5280 = range(
+    80, 95
+)  # verification codes of OpenSSL for what only its strict mode refuses
+
+
+def _no_password() -> str:
+    raise ValueError("it has a password")
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,21 +44,50 @@ class Tls:
     def wrap(self, plain: socket.socket, host: str) -> ssl.SSLSocket:
         """The socket under TLS; raises LinkError, UsageError."""
         try:
-            context = ssl.create_default_context(cafile=str(self.authority))
-            if self.certificate is not None:
-                context.load_cert_chain(self.certificate, self.key)
-        except (OSError, ssl.SSLError) as error:
-            plain.close()
-            raise UsageError(f"the certificates cannot be read: {error}") from None
-        try:
+            context = self._context()
             return context.wrap_socket(plain, server_hostname=host)
+        except UsageError:
+            plain.close()
+            raise
         except (OSError, ssl.SSLError) as error:
             plain.close()
             reason = getattr(error, "verify_message", "") or getattr(error, "reason", "") or error
-            raise LinkError(
-                f"no TLS with {host}: {reason}; is it a Modbus/TCP Security port, and are the "
-                "certificates for this drive?"
+            hint = "is it a Modbus/TCP Security port, and are the certificates for this drive?"
+            if isinstance(error, ssl.SSLCertVerificationError):
+                hint = f"is {self.authority} the authority that signed the drive's certificate?"
+                if error.verify_code in _NOT_BY_RFC_5280:
+                    hint = (
+                        "the drive's certificate, or an authority's above it, is not made as RFC 5280 wants "
+                        f"it: have both issued anew (authority: {self.authority}), with key identifiers, "
+                        "key usage and critical basic constraints"
+                    )
+            raise LinkError(f"no TLS with {host}: {reason}; {hint}") from None
+
+    def _context(self) -> ssl.SSLContext:
+        """What is asked of a certificate on every Python alike: what 3.13 asks; raises UsageError."""
+        files = [("ca", self.authority), ("cert", self.certificate), ("key", self.key)]
+        for option, path in files:
+            try:
+                if path is not None:
+                    contents(path, _LARGEST)
+            except OSError as error:
+                raise UsageError(f"{option} {path}: cannot be read: {error.strerror}") from None
+        try:
+            context = ssl.create_default_context(cafile=str(self.authority))
+        except (OSError, ssl.SSLError):
+            raise UsageError(f"ca {self.authority}: holds no certificate in PEM") from None
+        context.verify_flags |= ssl.VERIFY_X509_STRICT | ssl.VERIFY_X509_PARTIAL_CHAIN
+        if self.certificate is None:
+            return context
+        try:
+            context.load_cert_chain(self.certificate, self.key, password=_no_password)
+        except (OSError, ssl.SSLError, ValueError) as error:
+            key = f" and key {self.key}" if self.key is not None else ""
+            raise UsageError(
+                f"cert {self.certificate}{key}: are no certificate in PEM with its key, without a password "
+                f"({getattr(error, 'reason', None) or error})"
             ) from None
+        return context
 
 
 @dataclass(frozen=True, slots=True)

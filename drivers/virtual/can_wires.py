@@ -18,6 +18,7 @@ __all__ = ["CanBus", "SlcanPty", "SocketcandServer"]
 
 Deliver = Callable[[Frame], None]
 _LONGEST_LINE = 200
+_MOST_UNREAD = 1_000_000  # bytes that a client may leave unread: ten thousands of frames
 
 
 class CanBus:
@@ -133,6 +134,9 @@ class SocketcandServer:
         self._tasks.add(task)
 
         def deliver(frame: Frame) -> None:
+            if writer.transport.get_write_buffer_size() > _MOST_UNREAD:
+                writer.transport.abort()  # it does not read: it hears no more
+                return
             stamp = f"{time.time():.6f}"
             writer.write(
                 f"< frame {frame.cob_id:03X} {stamp} {frame.data.hex().upper()} >".encode()
@@ -160,6 +164,7 @@ class SocketcandServer:
                         self._bus.transmit(Frame(int(words[1], 16), data), deliver)
                 elif words[0] == "echo":
                     writer.write(b"< echo >")
+                await writer.drain()  # what it does not read holds up only itself
         except (
             asyncio.IncompleteReadError,
             asyncio.LimitOverrunError,
@@ -171,9 +176,7 @@ class SocketcandServer:
             if attached:
                 self._bus.detach(deliver)
             self._tasks.discard(task)
-            writer.close()
-            with contextlib.suppress(ConnectionError, asyncio.CancelledError):
-                await writer.wait_closed()
+            writer.transport.abort()  # whether or not it has read all
 
     async def close(self) -> None:
         """Stop listening and let the clients go."""

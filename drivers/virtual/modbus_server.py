@@ -8,12 +8,43 @@ from pymodbus import FramerType
 from pymodbus.constants import ExcCodes
 from pymodbus.pdu.device import ModbusDeviceIdentification
 from pymodbus.server import ModbusTcpServer
+from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from drivers.virtual.firmware import Denied, Reason
 from drivers.virtual.registers import RegisterMap
 
 __all__ = ["start_modbus_tcp"]
+
+
+class _Connection(ServerRequestHandler):
+    """A client that does not read its answers is not listened to until it does: no buffer grows."""
+
+    def pause_writing(self) -> None:
+        """More than asyncio's mark waits to be read."""
+        if self.transport is not None:
+            self.transport.pause_reading()  # type: ignore[attr-defined]
+
+    def resume_writing(self) -> None:
+        """It reads again."""
+        if self.transport is not None:
+            self.transport.resume_reading()  # type: ignore[attr-defined]
+
+
+class _Server(ModbusTcpServer):
+    """pymodbus' server with connections of ours, which end at once."""
+
+    def callback_new_connection(self) -> ServerRequestHandler:
+        """A connection of ours."""
+        return _Connection(self, self.trace_packet, self.trace_pdu, self.trace_connect)  # type: ignore[no-untyped-call]
+
+    def let_go(self) -> None:
+        """End every connection, whether or not its client has read all, and listen no more."""
+        for connection in list(self.active_connections.values()):
+            if connection.transport is not None:
+                connection.transport.abort()  # type: ignore[attr-defined]
+        self.close()
+
 
 logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
 
@@ -29,7 +60,7 @@ _UNIT_IN_MBAP = 6
 
 async def start_modbus_tcp(
     registers: RegisterMap, host: str, port: int, unit: int, *, rtu: bool = False
-) -> tuple[ModbusTcpServer, int]:
+) -> tuple[_Server, int]:
     """Listen on host:port (0: any free one); return the server and the port it has.
 
     `rtu`: frames as on a serial line. A frame for another unit is not for this drive: it is silent.
@@ -68,7 +99,7 @@ async def start_modbus_tcp(
     )
     first, end = registers.layout.span
     memory = SimData(first, values=[0] * (end - first), datatype=DataType.REGISTERS)
-    server = ModbusTcpServer(
+    server = _Server(
         SimDevice(unit, simdata=[memory], action=access),
         framer=FramerType.RTU if rtu else FramerType.SOCKET,
         identity=identity,

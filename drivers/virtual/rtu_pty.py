@@ -45,8 +45,6 @@ class RtuPty:
             with contextlib.suppress(asyncio.CancelledError):
                 await self._back
         if self._writer is not None:
-            self._writer.close()
-            with contextlib.suppress(OSError):
-                await self._writer.wait_closed()
+            self._writer.transport.abort()
         os.close(self._master)
         os.close(self._slave)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import signal
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from drivers.realtime import real_time
@@ -16,6 +18,7 @@ from drivers.virtual.device import Clock, Device
 from drivers.virtual.firmware import Firmware
 from drivers.virtual.memory import Memory
 from profiles.errors import UsageError
+from profiles.plain import plain
 from profiles.schema import Profile
 
 if TYPE_CHECKING:
@@ -23,6 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Endpoints", "serve"]
 
+_COMPLAINTS = 20  # lines, at most
 _POLL = 0.002  # s: how often timers of the drive run while nobody talks to it
 NODE = 5
 UNIT = 1
@@ -76,8 +80,10 @@ async def _serve(
     def stop(number: int) -> None:
         nonlocal received
         received = number
+        loop.set_exception_handler(lambda _loop, _context: None)  # what ends now need not complain
         end.set()
 
+    loop.set_exception_handler(_Complaints())
     for number in (signal.SIGINT, signal.SIGTERM):
         with contextlib.suppress(NotImplementedError):  # Windows: KeyboardInterrupt does it
             loop.add_signal_handler(number, stop, int(number))
@@ -120,6 +126,25 @@ async def _serve(
     return received
 
 
+class _Complaints:
+    """One line for each kind of trouble with a client, and not a traceback for each client."""
+
+    def __init__(self) -> None:
+        self._told: set[str] = set()
+
+    def __call__(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        error = context.get("exception")
+        text = f"{context['message']} ({error})" if error is not None else str(context["message"])
+        if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
+            text = (
+                "no more clients can be served: this process has as many open files as it may have"
+            )
+        if text not in self._told and len(self._told) < _COMPLAINTS:
+            self._told.add(text)
+            sys.stderr.write(f"tworelay: {plain(text)}\n")
+            sys.stderr.flush()
+
+
 async def _modbus(
     stack: contextlib.AsyncExitStack,
     registers: RegisterMap,
@@ -130,7 +155,7 @@ async def _modbus(
     from drivers.virtual.modbus_server import start_modbus_tcp
 
     server, port = await start_modbus_tcp(registers, *place, UNIT, rtu=rtu)
-    stack.push_async_callback(server.shutdown)
+    stack.callback(server.let_go)
     scheme = "modbus-rtu-tcp" if rtu else "modbus-tcp"
     return f"{scheme}://{_host(place[0])}:{port}?unit={UNIT}"
 
@@ -145,7 +170,7 @@ async def _serial(stack: contextlib.AsyncExitStack, registers: RegisterMap, baud
     except ImportError:
         raise UsageError("this system has no pseudo-terminals: use --modbus-rtu-tcp") from None
     server, port = await start_modbus_tcp(registers, "127.0.0.1", 0, UNIT, rtu=True)
-    stack.push_async_callback(server.shutdown)
+    stack.callback(server.let_go)
     await line.join(port)
     stack.push_async_callback(line.close)
     return f"modbus-rtu://{line.path}?baudrate={baudrate}&unit={UNIT}"

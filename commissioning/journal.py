@@ -289,7 +289,7 @@ class Journal:
         with self._errors():
             rows = self._db.execute(
                 "SELECT DISTINCT own.id, own.created FROM own_runs AS own "
-                "JOIN intents ON intents.run = own.id WHERE intents.state IN ('intended', 'verified') "
+                "JOIN intents ON intents.run = own.id WHERE intents.state <> 'restored' "
                 "ORDER BY own.created DESC, own.id DESC"
             ).fetchall()
         return [str(row["id"]) for row in rows]
@@ -308,7 +308,7 @@ class Journal:
         with self._errors():
             rows = self._db.execute(
                 "SELECT DISTINCT runs.id FROM runs JOIN intents ON intents.run = runs.id "
-                "WHERE intents.kind='experiment' AND intents.state IN ('intended', 'verified') "
+                "WHERE intents.kind='experiment' AND intents.state <> 'restored' "
                 "AND runs.serial=? ORDER BY runs.created",
                 (serial,),
             ).fetchall()

@@ -141,13 +141,23 @@ def table_of(path: Path) -> Table:
         raise UsageError(f"{path}: cannot be read as CSV: {error}") from None
 
 
+_NUMBERS = {  # classes of a .mat
+    "double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "logical",
+}  # fmt: skip
+
+
 def _mat(path: Path, data: bytes) -> Table:
     import scipy.io
 
     try:
-        # a small compressed file may hold a large array: only what is small is inflated
+        # a small compressed file may hold a large array, and a small cell anything: only what is a small
+        # array of numbers is inflated
         shapes = scipy.io.whosmat(io.BytesIO(data))  # type: ignore[arg-type]
-        small = [name for name, shape, _ in shapes if math.prod(shape) <= _MOST_CELLS]
+        small = [
+            name
+            for name, shape, kind in shapes
+            if kind in _NUMBERS and math.prod(shape) <= _MOST_CELLS
+        ]
         found = scipy.io.loadmat(io.BytesIO(data), variable_names=small)  # type: ignore[arg-type]
     except Exception as error:  # the reader has no error class of its own
         raise UsageError(

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import unicodedata
+from typing import Any
 
-__all__ = ["plain", "plain_lines"]
+__all__ = ["plain", "plain_lines", "plain_tree"]
 
 _ACT = {
     "Cc",
@@ -27,6 +28,17 @@ def plain(text: str) -> str:
 def plain_lines(text: str) -> str:
     """The same for a text of several lines; tabs stay, too."""
     return "\n".join("\t".join(map(plain, line.split("\t"))) for line in text.split("\n"))
+
+
+def plain_tree(tree: Any) -> Any:
+    """A tree of JSON with each text of it as one plain line."""
+    if isinstance(tree, str):
+        return plain(tree)
+    if isinstance(tree, list):
+        return [plain_tree(item) for item in tree]
+    if isinstance(tree, dict):
+        return {plain_tree(key): plain_tree(item) for key, item in tree.items()}
+    return tree
 
 
 def _shown(character: str) -> str:

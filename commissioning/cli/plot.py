@@ -12,6 +12,7 @@ from commissioning.cli.output import say
 from commissioning.cli.terminal import Finite
 from profiles.errors import Refused, UsageError
 from profiles.files import replace
+from profiles.plain import plain_tree
 
 __all__ = ["command"]
 
@@ -63,7 +64,7 @@ def loci(run: str, amplitude: float | None, hysteresis: float | None, output: st
         with np.errstate(divide="raise", invalid="raise"):
             picture = io.BytesIO()
             kind = target.suffix.lower()[1:]
-            draw(result, amplitude, hysteresis).savefig(picture, format=kind, dpi=150)
+            draw(plain_tree(result), amplitude, hysteresis).savefig(picture, format=kind, dpi=150)
         if output:
             target.write_bytes(picture.getvalue())
         else:

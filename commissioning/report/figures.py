@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,7 +16,6 @@ from numpy.typing import NDArray
 from commissioning.identification.describing_function import equivalent, inverse_locus, relay
 from commissioning.runs import Samples
 from commissioning.tuning.margins import LEAST_MARGIN
-from profiles.plain import plain_lines
 
 __all__ = [
     "following",
@@ -32,6 +32,7 @@ __all__ = [
 BLUE, ORANGE, GREY, GREEN = "#0b5394", "#c55a11", "#6b6b6b", "#2e7d32"
 _STYLE: Any = {
     "font.size": 9,
+    "text.parse_math": False,  # names are names
     "font.family": "sans-serif",
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -391,6 +392,10 @@ def _velocity(samples: Samples, cut: Sequence[int] | NDArray[np.intp]) -> NDArra
 
 def _svg(figure: Figure) -> str:
     stream = io.StringIO()
-    figure.savefig(stream, format="svg", metadata={"Date": None})
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore", UserWarning
+        )  # a name in letters that the font does not have
+        figure.savefig(stream, format="svg", metadata={"Date": None})
     text = stream.getvalue()
-    return plain_lines(text[text.index("<svg") :])
+    return text[text.index("<svg") :]

@@ -9,7 +9,7 @@ from typing import Any
 from commissioning.report.words import GAINS, duration, host_law
 from commissioning.runs import Samples
 from profiles.errors import UsageError
-from profiles.plain import plain_lines
+from profiles.plain import plain, plain_tree
 
 __all__ = ["render"]
 
@@ -22,6 +22,9 @@ def render(result: dict[str, Any], samples: Samples | None, journal: dict[str, A
     import jinja2
     import numpy as np
 
+    result, journal = plain_tree(result), plain_tree(journal)
+    if samples is not None:
+        samples = Samples(samples.columns, [(at, plain(text)) for at, text in samples.phases])
     try:
         with np.errstate(divide="raise", invalid="raise"):
             return _render(result, samples, journal)
@@ -67,10 +70,9 @@ def _render(result: dict[str, Any], samples: Samples | None, journal: dict[str, 
         (files("commissioning.report") / "report.html.j2").read_text("utf-8")
     )
     created = time.strftime("%Y-%m-%d %H:%M", time.localtime(journal["run"]["created"]))
-    text = template.render(
+    return template.render(
         r=result, pictures=pictures, stages=stages, journal=journal, created=created
     )
-    return plain_lines(text)
 
 
 def _si(value: float | None, unit: str = "") -> str:

@@ -173,3 +173,26 @@ def test_a_text_that_only_looks_compressed(tmp_path: Path) -> None:
     path = tmp_path / "samples.npz"
     path.write_bytes(zlib.compress(bytes(1000)))
     _refused("samples.npz", path)
+
+
+@pytest.mark.usefixtures("little_memory")
+@pytest.mark.parametrize("kind", ["cells", "struct"])
+def test_a_mat_file_whose_small_cells_hold_a_thousandfold(tmp_path: Path, kind: str) -> None:
+    """The shape says one by one; what is in it says nothing of its size."""
+    import scipy.io
+
+    path = tmp_path / "recording.mat"
+    inner: Any = np.zeros((1, 8_000_000))
+    for _ in range(3):
+        if kind == "struct":
+            inner = {"a": inner, "b": inner}
+        else:
+            cell = np.empty((1, 2), dtype=object)
+            cell[0, 0] = cell[0, 1] = inner
+            inner = cell
+    scipy.io.savemat(path, {"time_s": np.arange(100.0), "x": inner}, do_compression=True)
+    assert path.stat().st_size < 2_000_000
+    del inner
+    tracemalloc.reset_peak()
+    table = table_of(path)
+    assert list(table.columns) == ["time_s"]

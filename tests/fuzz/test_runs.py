@@ -1,0 +1,190 @@
+"""A run folder or a journal with something in it that we do not write: read, or one plain line."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import io
+import json
+import sqlite3
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from commissioning.cli import show
+from commissioning.cli.terminal import Screen
+from commissioning.journal import Journal
+from commissioning.report.html import render
+from commissioning.runs import RunFolder
+from commissioning.session.apply import axis_of_run
+from commissioning.session.tune import DriveLoop, tune
+from commissioning.stored import checked_journal, checked_result
+from profiles.errors import JournalError, TwoRelayError
+from profiles.library import load_profile
+from tests.command import in_this_process
+from tests.fuzz.mutation import fuzzed, mutated
+
+PROFILE = load_profile("virtual-modbus")
+WRONG: tuple[Any, ...] = (
+    None, True, -1, 0, 0.0, 1e200, -1e-300, 10**18, 10**400, float("nan"), float("inf"), "",
+    "x\x1b[2J", "9" * 99, [], {}, [1], {"a": 1}, "\ud800", [[[[]]]],
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def sent(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Result and journal of a commissioned and tuned run, its long rows cut short."""
+    home, folder = tmp_path_factory.mktemp("home"), tmp_path_factory.mktemp("sent")
+    for words in (
+        ("commission", "virtual://bench", "--yes", "--points"), ("tune", "last"),
+        ("export", "last", str(folder)),
+    ):  # fmt: skip
+        done = in_this_process(*words, environment={"TWORELAY_HOME": str(home)})
+        assert done.returncode == 0, done.stderr
+    result, journal = (
+        json.loads((folder / f"{name}.json").read_text()) for name in ("run", "journal")
+    )
+    result["tuning"] = [result["tuning"][k] for k in (0, -1)]
+    result["verification"]["steps"] = result["verification"]["steps"][:2]
+    for step in result["verification"]["steps"]:
+        step["trace"] = {key: row[:9] for key, row in step["trace"].items()}
+    return result, journal
+
+
+def places(tree: Any, way: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Where there is anything in a tree: of a list, its two ends."""
+    if way:
+        yield way
+    if isinstance(tree, dict):
+        for key in tree:
+            yield from places(tree[key], (*way, key))
+    elif isinstance(tree, list):
+        for k in sorted({0, len(tree) - 1}) if tree else ():
+            yield from places(tree[k], (*way, k))
+
+
+def put(tree: Any, way: tuple[Any, ...], value: Any) -> Any:
+    changed = copy.deepcopy(tree)
+    place = changed
+    for key in way[:-1]:
+        place = place[key]
+    place[way[-1]] = value
+    return changed
+
+
+def read_by_all(result: dict[str, Any], journal: dict[str, Any]) -> None:
+    """What reads a run; raises TwoRelayError."""
+    checked_result(result, "run.json")
+    journal = checked_journal(journal, "journal.json")
+    folder = RunFolder(Path("nowhere"), journal)
+    with suppress(TwoRelayError):
+        render(result, None, journal)
+    with suppress(TwoRelayError), contextlib.redirect_stderr(io.StringIO()):
+        show.tuning(result, Screen("-", yes=True))
+    with suppress(TwoRelayError):
+        axis = axis_of_run(folder.record(None, "x"), folder, None)  # type: ignore[arg-type]
+        tune(result, axis, PROFILE, DriveLoop(None, None))
+
+
+@given(st.data())
+@fuzzed
+def test_a_run_with_something_else_in_it(
+    sent: tuple[dict[str, Any], dict[str, Any]], data: st.DataObject
+) -> None:
+    result, journal = sent
+    of_result = data.draw(st.booleans())
+    tree = result if of_result else journal
+    way = data.draw(st.sampled_from(list(places(tree))))
+    changed = put(tree, way, data.draw(st.sampled_from(WRONG)))
+    with suppress(TwoRelayError):
+        read_by_all(changed if of_result else result, journal if of_result else changed)
+
+
+def test_every_place_of_a_run_is_looked_at(sent: tuple[dict[str, Any], dict[str, Any]]) -> None:
+    """NaN, infinity, what is no text and numbers without an end are refused wherever they stand."""
+    for tree, check in zip(sent, (checked_result, checked_journal), strict=True):
+        for way in places(tree):
+            for value in (float("nan"), float("-inf"), 10**400, "\ud800"):
+                with pytest.raises(TwoRelayError) as caught:
+                    check(put(tree, way, value), "x.json")
+                assert len(str(caught.value).splitlines()) == 1
+
+
+@given(mutated(b'{"schema": "tworelay.run/1", "a": [1.5, null], "b": {"c": "d"}}'))
+@fuzzed
+def test_what_is_hardly_json(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "run.json").write_bytes(data)
+    with pytest.raises(TwoRelayError):
+        RunFolder(tmp_path).result()
+
+
+COLUMNS = {
+    "runs": ("created", "axis", "link", "profile", "serial", "status", "context"),
+    "intents": ("kind", "parameter", "old", "new", "state"),
+}
+
+
+@pytest.mark.parametrize("table", COLUMNS)
+def test_a_damaged_journal_is_exit_7(table: str, tmp_path: Path) -> None:
+    home = {"TWORELAY_HOME": str(tmp_path)}
+    assert in_this_process("identify", "virtual://bench", "--yes", environment=home).returncode == 0
+    assert in_this_process("apply", "last", "--yes", environment=home).returncode == 0
+    for column in COLUMNS[table]:
+        with contextlib.closing(sqlite3.connect(tmp_path / "journal.sqlite")) as db:
+            old = db.execute(f"SELECT rowid, {column} FROM {table}").fetchall()
+        for value in (b"\xff", -1.5, "x", "{", "[1]", 1e300, float("inf"), 1 << 62):
+            with contextlib.closing(sqlite3.connect(tmp_path / "journal.sqlite")) as db:
+                db.execute(f"UPDATE {table} SET {column}=?", (value,))
+                db.commit()
+            with suppress(TwoRelayError), Journal(tmp_path) as journal:
+                journal.open_runs()
+                journal.export("last")
+        done = in_this_process("restore", "--yes", environment=home)
+        damaged = column not in (
+            "axis",
+            "link",
+            "status",
+            "profile",
+            "serial",
+            "parameter",
+            "old",
+            "new",
+        )
+        assert done.returncode == (7 if damaged else done.returncode), (column, done.stderr)
+        assert "internal error" not in done.stderr, (column, done.stderr)
+        with contextlib.closing(sqlite3.connect(tmp_path / "journal.sqlite")) as db:
+            db.executemany(f"UPDATE {table} SET {column}=? WHERE rowid=?", [(v, r) for r, v in old])
+            db.commit()
+
+
+@pytest.mark.parametrize(
+    "now", [0.0, 4_300_000_000.0, 253_402_300_000.0], ids=["1970", "2106", "9999"]
+)
+def test_whatever_the_clock_says_the_job_is_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, now: float
+) -> None:
+    """A battery that is empty, or a year that no zip file knows."""
+    monkeypatch.setattr("time.time", lambda: now + time.monotonic() % 1000)
+    home = {"TWORELAY_HOME": str(tmp_path)}
+    for words in (
+        ("commission", "virtual://bench", "--yes"), ("report", "last"), ("tune", "last"),
+        ("export", "last", str(tmp_path / "x")), ("plot", "loci", "last"), ("restore", "--yes"),
+    ):  # fmt: skip
+        done = in_this_process(*words, environment=home)
+        assert done.returncode == 0, (words, done.stderr)
+
+
+@given(mutated(b"SQLite format 3\x00" + bytes(200), b"", bytes(5000)))
+@fuzzed
+def test_a_journal_that_is_no_database(tmp_path: Path, data: bytes) -> None:
+    for path in tmp_path.glob("journal.sqlite*"):
+        path.unlink()
+    (tmp_path / "journal.sqlite").write_bytes(data)
+    with suppress(JournalError), Journal(tmp_path) as journal:
+        journal.open_runs()

@@ -145,7 +145,7 @@ def test_a_damaged_journal_is_exit_7(table: str, tmp_path: Path) -> None:
             with suppress(TwoRelayError), Journal(tmp_path) as journal:
                 journal.open_runs()
                 journal.export("last")
-        done = in_this_process("restore", "--yes", environment=home)
+        done = in_this_process("restore", "--dry-run", environment=home)
         damaged = column not in (
             "axis",
             "link",

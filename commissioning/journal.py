@@ -284,15 +284,25 @@ class Journal:
         found = [Intent(**row) for row in tree]
         return [i for i in found if i.state in ("intended", "verified")] if open_only else found
 
-    def open_runs(self) -> list[str]:
-        """Runs of this computer with something to restore, the latest first."""
+    def open_runs(self, *, adopted: bool = False) -> list[str]:
+        """Runs with something to restore, the latest first; of this computer, unless `adopted`, too."""
         with self._errors():
             rows = self._db.execute(
-                "SELECT DISTINCT own.id, own.created FROM own_runs AS own "
-                "JOIN intents ON intents.run = own.id WHERE intents.state <> 'restored' "
-                "ORDER BY own.created DESC, own.id DESC"
+                "SELECT DISTINCT runs.id, runs.created FROM runs "
+                "JOIN intents ON intents.run = runs.id WHERE intents.state <> 'restored' "
+                "AND (? OR runs.id IN (SELECT id FROM own_runs)) "
+                "ORDER BY runs.created DESC, runs.id DESC",
+                (adopted,),
             ).fetchall()
         return [str(row["id"]) for row in rows]
+
+    def runs_before(self, instant: float) -> list[RunRecord]:
+        """Runs that began before an instant (s since 1970), the oldest first."""
+        with self._errors():
+            rows = self._db.execute(
+                "SELECT * FROM runs WHERE created < ? ORDER BY created, id", (instant,)
+            ).fetchall()
+            return [self._record(row) for row in rows]
 
     def last_written(self) -> str | None:
         """The latest run that wrote anything to a drive."""

@@ -20,7 +20,7 @@ from commissioning.runner import Recorder
 from commissioning.stored import checked_journal, checked_result, json_file
 from drivers.sample import Sample
 from profiles.dcf import dcf
-from profiles.errors import JournalError, UnknownName, UsageError
+from profiles.errors import JournalError, UsageError
 from profiles.files import contents, replace
 from profiles.library import load_profile
 
@@ -233,7 +233,9 @@ def resolve(journal: Journal, run: str) -> tuple[str, RunFolder]:
     record = journal.run(run)
     folder = RunFolder.of(journal, record.id)
     if not folder.path.exists():
-        raise UnknownName("run with files", record.id, [])
+        raise UsageError(
+            f"run {record.id} has no files here: they were deleted, or it was cut off before it wrote any"
+        )
     return record.id, folder
 
 

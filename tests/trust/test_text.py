@@ -194,7 +194,7 @@ def test_an_escape_in_what_a_drive_says(
     link = serve("bench", "--modbus-tcp", "127.0.0.1:0", "--clock", "step")[0]
     for words in (
         ["identify", link, "--yes"], ["scan", link.partition("?")[0], "--units", "1"], ["doctor", link],
-        ["stop", link], ["latency", link],
+        ["stop", link],
     ):  # fmt: skip
         done = tworelay(*words)
         assert "owned" in done.stdout + done.stderr or words[0] == "doctor", words

@@ -1,0 +1,74 @@
+"""Old runs give their room back. What was done to which drive stays in the journal."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from dataclasses import dataclass
+
+from commissioning.processes import is_alive
+from commissioning.runs import RunFolder
+from commissioning.session.desk import Desk
+from profiles.errors import JournalError
+
+__all__ = ["Pruned", "prune"]
+
+
+@dataclass(frozen=True, slots=True)
+class Pruned:
+    """Runs whose files go, or went, and those that are left though they are as old.
+
+    Attributes
+    ----------
+    runs : ids, the oldest first
+    size : bytes of their files
+    kept : ids of runs that have something to restore, or are in progress
+    """
+
+    runs: tuple[str, ...]
+    size: int
+    kept: tuple[str, ...]
+
+
+def prune(before: float, desk: Desk, *, dry_run: bool) -> Pruned:
+    """Delete the files of runs that began before an instant (s since 1970), once that is agreed.
+
+    A run with anything to restore keeps its files: its profile is what restores it. Raises Refused,
+    JournalError.
+    """
+    waiting = set(desk.journal.open_runs(adopted=True))
+    runs: list[str] = []
+    kept: list[str] = []
+    size = 0
+    for record in desk.journal.runs_before(before):
+        folder = RunFolder.of(desk.journal, record.id)
+        if not folder.path.is_dir():
+            continue
+        context = record.context
+        in_progress = record.status == "running" and is_alive(
+            context.get("pid"), context.get("started")
+        )
+        if record.id in waiting or in_progress:
+            kept.append(record.id)
+            continue
+        runs.append(record.id)
+        size += sum(path.lstat().st_size for path in folder.path.iterdir())
+    found = Pruned(tuple(runs), size, tuple(kept))
+    if not runs or dry_run:
+        return found
+    day = time.strftime("%Y-%m-%d", time.localtime(before))
+    desk.agree(
+        f"The files of {len(runs)} runs before {day} ({size / 1e6:.1f} MB: samples, results, reports) "
+        "will be DELETED; what they wrote to their drives stays in the journal.",
+        "delete",
+    )
+    for run in runs:
+        try:
+            shutil.rmtree(RunFolder.of(desk.journal, run).path)
+        except OSError as error:
+            raise JournalError(
+                f"the files of run {run} cannot be deleted: {error.strerror or error}; those of older "
+                "runs are gone"
+            ) from None
+        desk.journal.note(run, "files deleted")
+    return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import suppress
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from commissioning.recording import read, table_of
-from drivers.link import parse
+from drivers.link_text import is_simulated, parse
 from profiles.axis import load_axis
 from profiles.draft import from_eds
 from profiles.eds import parse_eds
@@ -112,11 +113,22 @@ def test_recordings(tmp_path: Path, data: bytes) -> None:
 LINKS = (
     "virtual://bench?coulomb=0.1&delay=0.002", "modbus-tcp://10.0.0.1:502?unit=1", "modbus-rtu:COM5?unit=1",
     "canopen://socketcand/[::1]:29536/can0?node=5&bitrate=500000", "modbus-tls://h:802?ca=a&cert=b&key=c",
+    "modbus-rtu:///spy:///dev/null?file=x", "canopen://slcan/%2Fdev%2Fpts%2F3?node=5", "virtual://bench?state=x",
 )  # fmt: skip
+OPTIONS = {
+    "unit", "node", "timeout", "clock", "baudrate", "parity", "stopbits", "bitrate", "sync", "ca", "cert", "key",
+}  # fmt: skip
+NAME = re.compile(r"[A-Za-z0-9_.:/\\\[\]@-]*")
 
 
 @given(st.one_of(mutated(*(link.encode() for link in LINKS)), st.binary(max_size=60)))
 @fuzzed
 def test_links(data: bytes) -> None:
+    text = data.decode("utf-8", "replace")
     with suppress(TwoRelayError):
-        parse(data.decode("utf-8", "replace"))
+        link = parse(text)
+        is_simulated(text)
+        for name in (link.device, link.interface, link.channel if link.interface else ""):
+            assert NAME.fullmatch(name), name
+            assert "://" not in name, "a handler of a library"
+        assert set(link.options) <= OPTIONS or link.scheme == "virtual"

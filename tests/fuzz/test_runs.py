@@ -21,7 +21,7 @@ from commissioning.cli import show
 from commissioning.cli.terminal import Screen
 from commissioning.journal import Journal
 from commissioning.report.html import render
-from commissioning.runs import RunFolder
+from commissioning.runs import RunFolder, resolve
 from commissioning.session.apply import axis_of_run
 from commissioning.session.tune import DriveLoop, tune
 from commissioning.stored import checked_journal, checked_result
@@ -119,9 +119,25 @@ def test_every_place_of_a_run_is_looked_at(sent: tuple[dict[str, Any], dict[str,
 @given(mutated(b'{"schema": "tworelay.run/1", "a": [1.5, null], "b": {"c": "d"}}'))
 @fuzzed
 def test_what_is_hardly_json(tmp_path: Path, data: bytes) -> None:
-    (tmp_path / "run.json").write_bytes(data)
+    for name in ("run.json", "journal.json"):
+        (tmp_path / name).write_bytes(data)
     with pytest.raises(TwoRelayError):
         RunFolder(tmp_path).result()
+    with Journal(tmp_path / "home") as journal, pytest.raises(TwoRelayError):
+        resolve(journal, str(tmp_path))
+
+
+@given(st.data())
+@fuzzed
+def test_a_run_folder_whose_bytes_were_changed(
+    sent: tuple[dict[str, Any], dict[str, Any]], tmp_path: Path, data: st.DataObject
+) -> None:
+    for name, tree in zip(("run.json", "journal.json"), sent, strict=True):
+        text = json.dumps(tree).encode()
+        (tmp_path / name).write_bytes(data.draw(mutated(text)))
+    with Journal(tmp_path / "home") as journal, suppress(TwoRelayError):
+        _, folder = resolve(journal, str(tmp_path))
+        folder.result()
 
 
 COLUMNS = {

@@ -116,7 +116,8 @@ LINKS = (
     "modbus-rtu:///spy:///dev/null?file=x", "canopen://slcan/%2Fdev%2Fpts%2F3?node=5", "virtual://bench?state=x",
 )  # fmt: skip
 OPTIONS = {
-    "unit", "node", "timeout", "clock", "baudrate", "parity", "stopbits", "bitrate", "sync", "ca", "cert", "key",
+    "unit", "node", "timeout", "clock",
+    "baudrate", "parity", "stopbits", "bitrate", "sync", "ca", "cert", "key",
 }  # fmt: skip
 NAME = re.compile(r"[A-Za-z0-9_.:/\\\[\]@-]*")
 

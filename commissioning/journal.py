@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from commissioning.stored import checked_intents, checked_journal
-from profiles.errors import JournalError, UnknownName, UsageError
+from commissioning.stored import END_OF_TIME, checked_intents, checked_journal, checked_run
+from profiles.errors import JournalError, Refused, UnknownName, UsageError
 
 __all__ = ["RESTORED", "STORED", "STORING", "Intent", "Journal", "RunRecord"]
 
@@ -155,6 +155,11 @@ class Journal:
         """Open a run; return its id, which sorts by time."""
         with self._errors():
             now = time.time()
+            if not 0 <= now < END_OF_TIME:
+                raise Refused(
+                    f"this computer's clock stands at {now:.0f} s since 1970, outside of 1970 to 9999: "
+                    "set it, so that runs have an order"
+                )
             stamp = time.strftime("%Y%m%d-%H%M%S", time.localtime(now))
             for n in range(_RUNS_A_SECOND):
                 run = f"{stamp}-{axis}" + (f"-{n}" if n else "")
@@ -196,9 +201,7 @@ class Journal:
         adopted = self._db.execute("SELECT 1 FROM adopted WHERE run=?", (run["id"],)).fetchone()
         try:
             run["context"] = json.loads(run["context"])
-            checked_journal(
-                {"schema": "tworelay.journal/1", "run": run, "intents": []}, f"run {run['id']}"
-            )
+            checked_run(run, f"run {run['id']}")
         except (ValueError, TypeError, RecursionError, UsageError) as error:
             raise self._damaged(error) from None
         return RunRecord(**run, adopted=adopted is not None)

@@ -14,12 +14,19 @@ from typing import Any, TypeVar
 from profiles.errors import UsageError
 from profiles.files import contents
 
-__all__ = ["checked_intents", "checked_journal", "checked_result", "json_file"]
+__all__ = [
+    "END_OF_TIME",
+    "checked_intents",
+    "checked_journal",
+    "checked_result",
+    "checked_run",
+    "json_file",
+]
 
 LARGEST = 20_000_000  # bytes
 _LONGEST = 10_000  # characters of a text
 _LARGEST_NUMBER = 1e300
-_END_OF_TIME = 253_402_300_800.0  # s, the year 10000
+END_OF_TIME = 253_402_300_800.0  # s since 1970, the year 10000
 
 Check = Callable[[Any, str], None]
 T = TypeVar("T")
@@ -60,7 +67,7 @@ def _raw(value: Any, where: str) -> None:
 
 def _instant(value: Any, where: str) -> None:
     _number(value, where)
-    if not 0 <= value < _END_OF_TIME:
+    if not 0 <= value < END_OF_TIME:
         _fail(where, "a time in s since 1970, before the year 10000")
 
 
@@ -283,15 +290,16 @@ _intents = _each(
         }
     )
 )  # fmt: skip
+_run = _record(
+    {
+        "id": _text, "created": _instant, "axis": _text, "link": _text, "profile": _text,
+        "profile_hash": _text, "serial": _text, "status": _text, "context": _table(_anything),
+    }
+)  # fmt: skip
 _journal = _record(
     {
         "schema": _one_of("tworelay.journal/1"),
-        "run": _record(
-            {
-                "id": _text, "created": _instant, "axis": _text, "link": _text, "profile": _text,
-                "profile_hash": _text, "serial": _text, "status": _text, "context": _table(_anything),
-            }
-        ),
+        "run": _run,
         "intents": _intents,
     },
     {"events": _each(_record({"at": _instant, "text": _text}))},
@@ -313,6 +321,11 @@ def checked_journal(tree: Any, origin: str) -> dict[str, Any]:
         return {"events": [], **_checked(_journal, tree, origin)}
     except UsageError as error:
         raise UsageError(f"{error}; so it is no exported run that can be read") from None
+
+
+def checked_run(row: dict[str, Any], origin: str) -> None:
+    """Raises UsageError where a run of a journal is not what it must be."""
+    _checked(_run, row, origin)
 
 
 def checked_intents(rows: list[dict[str, Any]], origin: str) -> None:

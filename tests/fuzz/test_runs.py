@@ -196,6 +196,18 @@ def test_whatever_the_clock_says_the_job_is_done(
         assert done.returncode == 0, (words, done.stderr)
 
 
+@pytest.mark.parametrize("now", [-1.0, 253_402_300_800.0, 9e15])
+def test_a_clock_beyond_all_years_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, now: float
+) -> None:
+    monkeypatch.setattr("time.time", lambda: now)
+    done = in_this_process(
+        "identify", "virtual://bench", "--yes", environment={"TWORELAY_HOME": str(tmp_path)}
+    )
+    assert done.returncode == 3
+    assert "clock stands at" in done.stderr
+
+
 @given(mutated(b"SQLite format 3\x00" + bytes(200), b"", bytes(5000)))
 @fuzzed
 def test_a_journal_that_is_no_database(tmp_path: Path, data: bytes) -> None:

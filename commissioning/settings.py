@@ -176,18 +176,26 @@ def put_back(drive: Drive, intents: list[Intent], *, force: bool = False) -> Res
 
 
 class Return(NamedTuple):
-    """One parameter on its way back: raw values; `why_not`: it is left as it is."""
+    """One parameter on its way back: raw values, None: cannot be read; `why_not`: it is left as it is."""
 
     parameter: str
-    there: int
+    there: int | None
     old: int
     why_not: str
 
 
 def planned(drive: Drive, intents: list[Intent], *, force: bool = False) -> list[Return]:
-    """What `put_back` would do; raises AccessDenied, LinkError. The bus' own objects are not in it."""
+    """What `put_back` would do; raises LinkError. The bus' own objects are not in it."""
     back = _Back(drive, intents, force=force)
-    return [back.plan(name) for name in back.order]
+    found = []
+    for name in back.order:
+        try:
+            found.append(back.plan(name))
+        except LinkError:
+            raise
+        except TwoRelayError as error:
+            found.append(Return(name, None, back.oldest[name], str(error)))
+    return found
 
 
 class _Back:
@@ -201,19 +209,19 @@ class _Back:
         profile = drive.profile
         self._drive = drive
         self._force = force
-        self._oldest = {intent.parameter: intent.old for intent in reversed(intents)}
-        self._ours = {n: {i.new for i in intents if i.parameter == n} for n in self._oldest}
+        self.oldest = {intent.parameter: intent.old for intent in reversed(intents)}
+        self._ours = {n: {i.new for i in intents if i.parameter == n} for n in self.oldest}
         self._commands, self._enabling = commands(profile), enabling(profile)
         self._set_points = set_points(profile)
         self._positions = position_set_points(profile)
         names = dict.fromkeys(i.parameter for i in reversed(intents))
         known = [name for name in names if name in profile.parameters]
         self.order = sorted(known, key=lambda name: name in self._commands)
-        self.of_the_bus = {n: old for n, old in self._oldest.items() if n not in profile.parameters}
+        self.of_the_bus = {n: old for n, old in self.oldest.items() if n not in profile.parameters}
 
     def plan(self, name: str) -> Return:
         """What is to be done with one parameter; raises WriteFailed, LinkError."""
-        there, old = self._drive.read_raw(name), self._oldest[name]
+        there, old = self._drive.read_raw(name), self.oldest[name]
         if name in self._set_points:
             old = self._drive.read_raw("position_actual") if name in self._positions else 0
         why = ""

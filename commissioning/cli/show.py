@@ -256,9 +256,12 @@ def going_back(rows: list[Return], screen: Screen) -> None:
     """What a restore would write, raw."""
     if rows:
         table = [
-            [row.parameter, str(row.there), str(row.old), row.why_not or _remark(row)]
+            [
+                row.parameter, "?" if row.there is None else str(row.there), str(row.old),
+                row.why_not or _remark(row),
+            ]
             for row in rows
-        ]
+        ]  # fmt: skip
         screen.table("restore, raw values", ["parameter", "now", "before", ""], table)
 
 

@@ -10,7 +10,7 @@ import json
 import sqlite3
 import time
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -25,6 +25,10 @@ State = Literal["intended", "verified", "restored"]
 
 _TRIES, _PAUSE = 200, 0.05  # s: until another process has opened the file
 _SCHEMA_VERSION = 1
+_UNWRITABLE = {  # primary result codes of SQLite: of permissions, of others, and of the disk
+    sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_NOMEM,
+    sqlite3.SQLITE_READONLY, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL, sqlite3.SQLITE_CANTOPEN,
+}  # fmt: skip
 _RUNS_A_SECOND = 1000  # of one axis, at most
 STORING, STORED, RESTORED = "storing", "stored", "restored and stored"
 _SCHEMA = """
@@ -134,8 +138,12 @@ class Journal:
         try:
             yield
         except (sqlite3.Error, OverflowError) as error:
-            if self._db.in_transaction:
-                self._db.execute("ROLLBACK")
+            with suppress(sqlite3.Error):
+                if self._db.in_transaction:
+                    self._db.execute("ROLLBACK")
+            code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+            if isinstance(error, sqlite3.DatabaseError) and code not in _UNWRITABLE:
+                raise self._damaged(error) from None
             raise JournalError(_unwritable(self.folder, error)) from None
         except UnicodeEncodeError:
             raise UsageError("a name that is no valid text cannot be looked up") from None
@@ -190,6 +198,8 @@ class Journal:
                 ).fetchone()
             else:
                 row = self._db.execute("SELECT * FROM runs WHERE id=?", (run,)).fetchone()
+            if row is None and run == "last":
+                raise UnknownName("run of this computer", run, [])
             if row is None:
                 recent = self._db.execute("SELECT id FROM runs ORDER BY created DESC LIMIT 5")
                 raise UnknownName("run", run, [found["id"] for found in recent])
@@ -209,7 +219,7 @@ class Journal:
     def _damaged(self, error: Exception) -> JournalError:
         return JournalError(
             f"the journal in {self.folder} is damaged ({error}); put back a copy of journal.sqlite, or move "
-            "it away: its runs are then not known any more"
+            "it away (and keep it: what is to be restored in which drive stands nowhere else)"
         )
 
     def note(self, run: str, text: str) -> None:
@@ -336,7 +346,7 @@ class Journal:
             events = self._db.execute(
                 "SELECT at, text FROM events WHERE run=? ORDER BY seq", (record.id,)
             ).fetchall()
-        return {
+        tree = {
             "schema": "tworelay.journal/1",
             "run": {
                 name: getattr(record, name) for name in RunRecord.__slots__ if name != "adopted"
@@ -347,6 +357,10 @@ class Journal:
             ],
             "events": [dict(row) for row in events],
         }
+        try:
+            return checked_journal(tree, f"run {record.id}")
+        except UsageError as error:
+            raise self._damaged(error) from None
 
     def adopt(self, tree: Any, origin: str) -> str:
         """Take in the journal of a run of another computer, unless it is known; returns its id.
@@ -379,9 +393,11 @@ class Journal:
         return str(run["id"])
 
     def knows(self, run: str) -> bool:
-        """Whether there is a run of this id."""
+        """Whether there is a run of this id, as file names go: in capitals or not."""
         with self._errors():
-            found = self._db.execute("SELECT 1 FROM runs WHERE id=?", (run,)).fetchone()
+            found = self._db.execute(
+                "SELECT 1 FROM runs WHERE id=? COLLATE NOCASE", (run,)
+            ).fetchone()
         return found is not None
 
 

@@ -31,6 +31,12 @@ _UNREADABLE = (
     OSError, ValueError, KeyError, EOFError, TypeError, MemoryError, OverflowError, RuntimeError,
     zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
+_FOREIGN = (
+    "run.json",
+    "profile.toml",
+    "samples.npz",
+)  # of a run that somebody sent: no page of theirs
+_FILES = *_FOREIGN, "report.html", "loci.svg", "loci.png", "loci.pdf"
 _OF_A_RUN = (
     "id", "created", "axis", "link", "profile", "profile_hash", "serial", "status", "context",
 )  # fmt: skip
@@ -145,16 +151,21 @@ class RunFolder:
         return Samples(columns, phases)
 
     def profile_path(self) -> Path:
-        """The profile as it was in this run."""
-        return self.path / "profile.toml"
+        """The profile as it was in this run; raises UsageError where that is a link."""
+        path = self.path / "profile.toml"
+        if path.is_symlink():
+            raise UsageError(f"{path}: is a link, and none is followed here")
+        return path
 
     def export(self, journal: Journal, run: str, target: Path) -> list[Path]:
         """Copy the run to `target` with its journal, samples as CSV, changes as DCF; return the files."""
         result = self.result()
         try:
             target.mkdir(parents=True, exist_ok=True)
-            for path in sorted(self.path.iterdir()):
-                replace(target / path.name, contents(path, _LARGEST_SAMPLES, links=False))
+            for name in _FOREIGN if self.exported is not None else _FILES:
+                path = self.path / name
+                if path.exists() or path.is_symlink():
+                    replace(target / name, contents(path, _LARGEST_SAMPLES, links=False))
             history = self.history(journal, run)
             replace(target / "journal.json", json.dumps(history, indent=1).encode())
             samples = self.samples()
@@ -169,7 +180,8 @@ class RunFolder:
             if changes:
                 replace(target / "changes.dcf", changes.encode())
         except OSError as error:
-            raise UsageError(f"cannot export to {target}: {error}") from None
+            why = error.strerror or error
+            raise UsageError(f"cannot export to {target}: {why}") from None
         return sorted(target.iterdir())
 
     def _dcf(self, history: dict[str, Any]) -> str:

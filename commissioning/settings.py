@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from commissioning.journal import Intent, Journal, Kind
-from drivers.drive import SET, Drive
-from profiles.commands import commands, enabling, position_set_points, set_points
+from drivers.drive import Drive
+from profiles.commands import SET, commands_of
 from profiles.errors import JournalError, LinkError, TwoRelayError, WriteFailed
 
 __all__ = ["Restored", "Return", "Settings", "planned", "put_back", "settle"]
@@ -206,31 +206,37 @@ class _Back:
     """
 
     def __init__(self, drive: Drive, intents: list[Intent], *, force: bool) -> None:
-        profile = drive.profile
         self._drive = drive
         self._force = force
         self.oldest = {intent.parameter: intent.old for intent in reversed(intents)}
         self._ours = {n: {i.new for i in intents if i.parameter == n} for n in self.oldest}
-        self._commands, self._enabling = commands(profile), enabling(profile)
-        self._set_points = set_points(profile)
-        self._positions = position_set_points(profile)
+        self._commands = commands_of(drive.profile)
+        profile = drive.profile
         names = dict.fromkeys(i.parameter for i in reversed(intents))
         known = [name for name in names if name in profile.parameters]
-        self.order = sorted(known, key=lambda name: name in self._commands)
+        self.order = sorted(known, key=lambda name: name in self._commands.names)
         self.of_the_bus = {n: old for n, old in self.oldest.items() if n not in profile.parameters}
 
     def plan(self, name: str) -> Return:
         """What is to be done with one parameter; raises WriteFailed, LinkError."""
         there, old = self._drive.read_raw(name), self.oldest[name]
-        if name in self._set_points:
-            old = self._drive.read_raw("position_actual") if name in self._positions else 0
+        known, parameter = self._commands, self._drive.profile.parameters[name]
+        if name in known.positions:
+            old = self._drive.read_raw("position_actual")
+        elif name in known.set_points:
+            old = 0
         why = ""
         if there == old:
             pass
-        elif (name, old) in self._enabling:
+        elif known.enables(name, old):
             why = f"{old} stood there before, which enables the drive: set it yourself"
+        elif name not in known.restorable:
+            why = f"its protection is '{parameter.protection}': it is not written"
+        elif not parameter.allows(old):
+            low, high = parameter.range
+            why = f"{old} stood there before, and is not allowed to be written ({low:g}…{high:g})"
         elif (
-            there not in self._ours[name] and not self._force and name not in SET | self._set_points
+            there not in self._ours[name] and not self._force and name not in SET | known.set_points
         ):
             why = (
                 f"it reads {there}, neither the old {old} nor what was written: somebody "
@@ -247,7 +253,7 @@ class _Back:
         if plan.there == plan.old:
             outcome.already.append(name)
             return
-        if name in self._commands and self._drive.is_energised():
+        if name in self._commands.names and self._drive.is_energised():
             raise WriteFailed("not put back while the drive is enabled")
         self._drive.write_raw(name, plan.old)
         outcome.restored.append(name)

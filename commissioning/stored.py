@@ -53,6 +53,12 @@ def _positive(value: Any, where: str) -> None:
         _fail(where, "positive")
 
 
+def _share(value: Any, where: str) -> None:
+    _number(value, where)
+    if not 0 <= value <= 1:
+        _fail(where, "a share from 0 to 1")
+
+
 def _count(value: Any, where: str) -> None:
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 1 << 31:
         _fail(where, "a whole number from 0 on")
@@ -282,18 +288,34 @@ _result = _record(
         "notes": _each(_text),
     },
 )  # fmt: skip
-_intents = _each(
+_MOST_INTENTS = 10_000
+
+
+def _few(kind: Check, most: int) -> Check:
+    def check(value: Any, where: str) -> None:
+        if isinstance(value, list) and len(value) > most:
+            _fail(where, f"a list of at most {most}")
+        _each(kind)(value, where)
+
+    return check
+
+
+_intents = _few(
     _record(
         {
             "kind": _one_of("experiment", "compensation", "gain"), "parameter": _text,
             "old": _raw, "new": _raw, "state": _one_of("intended", "verified", "restored"),
         }
-    )
+    ),
+    _MOST_INTENTS,
 )  # fmt: skip
+_context = _record(
+    {}, {"axis": _table(_anything), "fraction": _share, "pid": _or_none(_count), "started": _maybe}
+)
 _run = _record(
     {
         "id": _text, "created": _instant, "axis": _text, "link": _text, "profile": _text,
-        "profile_hash": _text, "serial": _text, "status": _text, "context": _table(_anything),
+        "profile_hash": _text, "serial": _text, "status": _text, "context": _context,
     }
 )  # fmt: skip
 _journal = _record(

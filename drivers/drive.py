@@ -9,16 +9,13 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from drivers.sample import Sample
 from drivers.scaling import Scaling
+from profiles.commands import SET
 from profiles.schema import Address, Identity, Mode, Profile
 
 if TYPE_CHECKING:
     from drivers.serial_port import SerialPort, Stream
 
 __all__ = ["SET", "Bus", "Drive", "Exchange", "StopFrames", "StopReport"]
-
-SET = frozenset(
-    {"mode_of_operation", "torque_target", "position_target"}
-)  # commands that a job leaves as found
 
 
 @dataclass(frozen=True, slots=True)

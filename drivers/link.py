@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Link",
     "axis_of",
-    "check_state_of_others",
+    "check_files_of_others",
     "host_and_port",
     "is_simulated",
     "modbus_wire",
@@ -174,14 +174,19 @@ def state_file(link: Link) -> Path:
     return home() / "virtual" / f"{virtual.name}-{virtual.serial:08x}.json"
 
 
-def check_state_of_others(text: str) -> None:
-    """Raise Refused where a LINK that another computer wrote names a file outside TWORELAY_HOME."""
-    named = parse(text).options.get("state")
-    if named is not None and not Path(named).resolve().is_relative_to(home().resolve()):
-        raise Refused(
-            f"{text}: its state is a file outside {home()}, and the link was written elsewhere: give one of "
-            "yours with --link"
-        )
+def check_files_of_others(text: str, *keys: str) -> None:
+    """Raise Refused where a LINK that another computer wrote names a file outside TWORELAY_HOME.
+
+    `keys` : options to look at, by default all that name a file
+    """
+    options = parse(text).options
+    for key in keys or ("state", "ca", "cert", "key"):
+        named = options.get(key)
+        if named is not None and not Path(named).resolve().is_relative_to(home().resolve()):
+            raise Refused(
+                f"{text}: its {key} is a file outside {home()}, and the link was written elsewhere: give one "
+                "of yours with --link"
+            )
 
 
 def _open_modbus(

@@ -6,6 +6,7 @@ or a handler of the libraries below.
 
 from __future__ import annotations
 
+import difflib
 import os
 import re
 from dataclasses import dataclass
@@ -91,7 +92,13 @@ def parse(text: str) -> Link:
         scheme, mark, rest = text.partition(":")
     if scheme not in SCHEMES or not mark:
         known = ", ".join(f"{scheme}://" for scheme in SCHEMES)
-        raise UsageError(f"{shown} is no link and no axis file; a link begins with {known}")
+        near = difflib.get_close_matches(scheme, SCHEMES, 1) if mark else []
+        hint = f"did you mean {near[0]}://? " if near else ""
+        raise UsageError(
+            f"{shown} is no link and no axis file; {hint}A link begins with {known}".replace(
+                "; A link", "; a link"
+            )
+        )
     if len(text) > _LONGEST:
         raise UsageError(f"{shown}…: a link has at most {_LONGEST} characters")
     if not text.isascii() or not text.isprintable() or " " in text or "#" in text:
@@ -203,7 +210,9 @@ def _check_options(link: Link) -> None:
     except ValueError:
         seconds = -1.0
     if not 0 < seconds <= 60:
-        raise UsageError(f"{link.text}: timeout={options['timeout']} must be 0…60 s")
+        raise UsageError(
+            f"{link.text}: timeout={options['timeout']} must be more than 0 and at most 60 s"
+        )
 
 
 def is_simulated(text: str) -> bool:

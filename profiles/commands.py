@@ -1,66 +1,99 @@
-"""Which parameters of a drive command it: its power, its mode, its set-points."""
+"""Which parameters of a drive command it: its power, its mode, its set-points; and what may be put back."""
 
 from __future__ import annotations
 
-from profiles.schema import CanopenAddress, Mode, Profile, Step
+from dataclasses import dataclass
 
-__all__ = ["commands", "enabling", "position_set_points", "set_points"]
+from profiles.schema import CanopenAddress, Mode, Profile, Protection, Step
+
+__all__ = ["SET", "Commands", "commands_of"]
+
+SET = frozenset({"mode_of_operation", "torque_target", "position_target"})  # by each job
 
 # CiA 402, of each axis of a drive
 _CONTROLWORD, _MODE, _TARGET_POSITION = 0x6040, 0x6060, 0x607A
-_TARGETS = {0x6042, 0x6071, _TARGET_POSITION, 0x60FF}  # velocity (vl), torque, position, velocity
+_TARGETS = {0x6042, 0x6071, 0x60FF}  # velocity (vl), torque, velocity
 _FIRST, _END, _AN_AXIS = 0x6000, 0xA000, 0x800
-_WAY_UP = (0x06, 0x07, 0x0F)  # shutdown, switch on, enable operation
+_ENABLE_VOLTAGE = 0x02  # of a controlword: without it the drive is without energy
+_SETTINGS = (Protection.EXPERIMENT, Protection.COMPENSATION, Protection.GAIN)
 
 
-def set_points(profile: Profile) -> frozenset[str]:
-    """Names of the parameters that say how fast, how far, or how hard the axis is driven."""
-    named = {code.set_point for codes in profile.modes.values() for code in codes}
-    return frozenset(named | _at(profile, _TARGETS))
+@dataclass(frozen=True, slots=True)
+class Commands:
+    """What commands a drive, by the names of its profile's parameters.
+
+    Attributes
+    ----------
+    names : all of it
+    set_points : how fast, how far, or how hard the axis is driven
+    positions : those of them that are positions of this axis
+    restorable : whatever may be written back at all, settings included
+    controlwords : controlwords of CiA 402
+    by_procedure : parameters and raw values by which the profile enables the drive, and nothing else it does
+    """
+
+    names: frozenset[str]
+    set_points: frozenset[str]
+    positions: frozenset[str]
+    restorable: frozenset[str]
+    controlwords: frozenset[str]
+    by_procedure: frozenset[tuple[str, int]]
+
+    def enables(self, name: str, raw: int) -> bool:
+        """Whether a raw value may give energy to the drive, or leave it there."""
+        if name in self.controlwords:
+            return bool(raw & _ENABLE_VOLTAGE)
+        return (name, raw) in self.by_procedure
 
 
-def position_set_points(profile: Profile) -> frozenset[str]:
-    """Those of them that are positions."""
-    named = {code.set_point for code in profile.modes.get(Mode.POSITION, ())}
-    return frozenset(named | _at(profile, {_TARGET_POSITION}))
-
-
-def commands(profile: Profile) -> frozenset[str]:
-    """Names of the set-points, and of the parameters by which mode and power are chosen."""
+def commands_of(profile: Profile) -> Commands:
+    """What commands the drive of a profile."""
     power = profile.power
-    steps = [*profile.stop, *profile.disable]
-    steps += [*power.enable, *power.reset] if power is not None else []
-    steps += [step for codes in profile.modes.values() for code in codes for step in code.before]
-    written = {step.write for step in steps if step.write is not None}
-    words = {"controlword", "mode_of_operation"} & profile.parameters.keys()
-    found = set_points(profile) | written | words | _at(profile, {_CONTROLWORD, _MODE})
-    return frozenset(found)
-
-
-def enabling(profile: Profile) -> frozenset[tuple[str, int]]:
-    """Parameters with the raw values by which the profile enables the drive, and nothing else it does."""
-    found = {
-        (name, word)
-        for name in {"controlword"} & profile.parameters.keys() | _at(profile, {_CONTROLWORD})
-        for word in _WAY_UP
-    }
-    power = profile.power
-    found |= _writes(power.enable) if power is not None else set()
     before = [step for codes in profile.modes.values() for code in codes for step in code.before]
-    without = _writes((*before, *profile.disable))
-    return frozenset(found - without)
+    switching = [*profile.stop, *profile.disable]
+    switching += [*power.enable, *power.reset] if power is not None else []
+    enabling = _writes(power.enable) if power is not None else set()
+    switches = {step.write for step in switching if step.write is not None}
+    words = _named(profile, {"controlword"}) | _at(profile, {_CONTROLWORD})
+    modes = _named(profile, {"mode_of_operation"}) | _at(profile, {_MODE})
+    positions = {code.set_point for code in profile.modes.get(Mode.POSITION, ())}
+    positions |= _named(profile, {"position_target"}) | _at(profile, {_TARGET_POSITION}, own=True)
+    targets = {code.set_point for codes in profile.modes.values() for code in codes}
+    targets |= _named(profile, {"torque_target"}) | _at(profile, _TARGETS) | positions
+    others = _at(profile, {_TARGET_POSITION}) - positions  # of other axes
+    written = {step.write for step in before if step.write is not None}
+    kept = SET | (switches if power is not None else set())
+    return Commands(
+        names=frozenset(targets | others | words | modes | switches | written),
+        set_points=frozenset(targets),
+        positions=frozenset(positions),
+        restorable=frozenset(
+            name
+            for name, parameter in profile.parameters.items()
+            if parameter.protection in _SETTINGS
+            or (parameter.protection is Protection.COMMAND and name in kept)
+        ),
+        controlwords=frozenset(words),
+        by_procedure=frozenset(enabling - _writes((*before, *profile.disable))),
+    )
+
+
+def _named(profile: Profile, names: set[str]) -> set[str]:
+    return names & profile.parameters.keys()
 
 
 def _writes(steps: tuple[Step, ...]) -> set[tuple[str, int]]:
     return {(s.write, s.raw) for s in steps if s.write is not None and s.raw is not None}
 
 
-def _at(profile: Profile, indices: set[int]) -> set[str]:
-    """Names of the parameters at these objects of CiA 402, of whichever axis."""
-    return {
-        name
-        for name, parameter in profile.parameters.items()
-        if isinstance(parameter.address, CanopenAddress)
-        and _FIRST <= (index := parameter.address.index) < _END
-        and _FIRST + (index - _FIRST) % _AN_AXIS in indices
-    }
+def _at(profile: Profile, indices: set[int], *, own: bool = False) -> set[str]:
+    """Names of the parameters at these objects of CiA 402, of each axis of the drive, or of the `own`."""
+    word = profile.parameters.get("controlword")
+    axis = getattr(word.address, "index", _CONTROLWORD) - _CONTROLWORD if word is not None else 0
+    found = set()
+    for name, parameter in profile.parameters.items():
+        index = parameter.address.index if isinstance(parameter.address, CanopenAddress) else 0
+        here = index - axis if own else _FIRST + (index - _FIRST) % _AN_AXIS
+        if _FIRST <= index < _END and here in indices:
+            found.add(name)
+    return found

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+import secrets
+import stat
 import sys
 import time
 from pathlib import Path
@@ -24,8 +26,13 @@ def contents(path: Path, most: int, *, links: bool = True) -> bytes:
         raise OSError(errno.ELOOP, "it is a link, and none is followed here")
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "it is no file")
-    with path.open("rb") as file:
-        size = os.fstat(file.fileno()).st_size
+    flags = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
+    flags |= 0 if links else getattr(os, "O_NOFOLLOW", 0)
+    with open(os.open(path, flags), "rb") as file:  # noqa: PTH123 - what was looked at is what is opened
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode):
+            raise OSError(errno.EINVAL, "it is no file")
+        size = found.st_size
         if size > most:
             raise OSError(errno.EFBIG, f"it is larger than {most} bytes")
         return file.read(size)
@@ -36,9 +43,9 @@ def replace(path: Path, content: bytes) -> None:
 
     Raises OSError. On Windows nobody's file can be replaced while somebody reads it: that is waited for.
     """
-    fresh = path.with_name(f"{path.name}.{os.getpid()}.new")
+    fresh = path.with_name(f".{path.name[:100]}.{secrets.token_hex(8)}.new")
     try:
-        with fresh.open("wb") as file:
+        with fresh.open("xb") as file:  # x: a name that is there already leads elsewhere
             file.write(content)
             file.flush()
             os.fsync(file.fileno())

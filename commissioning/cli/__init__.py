@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import sys
 from importlib import import_module
@@ -68,7 +69,7 @@ def cli() -> None:
 
     TARGET is a link (virtual://bench, modbus-tcp://HOST:PORT?unit=1,
     canopen://socketcan/can0?node=5) or an axis file (press-7-x.toml). RUN is an id as printed,
-    'last', or the folder of an exported run. Start with: tworelay demo
+    'last', or, to be read, the folder of an exported run. Start with: tworelay demo
     """
 
 
@@ -108,6 +109,9 @@ def _report_failure(error: Exception) -> int:
     from commissioning.cli.output import document, say
     from profiles.errors import TwoRelayError
 
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        say(f"tworelay: {error.strerror}: what was asked for cannot be said", err=True)
+        return 2
     if isinstance(error, TwoRelayError):
         say(f"tworelay: {error}", err=True)
         return error.exit_code

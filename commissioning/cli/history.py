@@ -42,7 +42,9 @@ def prune(before: str, dry_run: bool, yes: bool) -> None:
     verb = "would be deleted" if dry_run else "deleted"
     screen.say(f"files of {len(found.runs)} runs {verb}, {found.size / 1e6:.1f} MB")
     for run in found.kept:
-        screen.say(f"  kept: {run}, which has something to restore, or is in progress")
+        screen.say(
+            f"  kept: {run}, which has something to restore, is in progress, or lies elsewhere"
+        )
 
 
 def _instant(text: str) -> float:

@@ -45,9 +45,9 @@ def giving_up(*, err: bool) -> Generator[None]:
     """A stream that takes no more from the body is given up, not the job."""
     try:
         yield
-    except OSError as error:
+    except (OSError, SystemExit) as error:  # rich ends a program whose reader has gone
         _abandon(sys.stderr if err else sys.stdout)
-        if not isinstance(error, BrokenPipeError) and not err:
+        if isinstance(error, OSError) and not isinstance(error, BrokenPipeError) and not err:
             with contextlib.suppress(OSError):
                 click.echo(f"tworelay: standard output takes no more: {error.strerror}", err=True)
 

@@ -11,6 +11,7 @@ from commissioning.report.words import GAINS, duration, host_law
 if TYPE_CHECKING:
     from commissioning.session.adopt import Adopted
     from commissioning.settings import Return
+    from profiles.axis import Axis
 
 __all__ = ["adopted", "going_back", "outcome", "proposal", "summary", "verification"]
 
@@ -269,21 +270,40 @@ def _remark(row: Return) -> str:
     return "as it is" if row.there == row.old else "will be written"
 
 
+def _mechanics(axis: Axis) -> str:
+    """What scales its torques and positions, and what holds it."""
+    parts = [
+        axis.mechanics.motion,
+        f"gear {axis.mechanics.gear:g}",
+        f"held by {axis.mechanics.held_by}",
+    ]
+    given = {
+        "feed": (axis.mechanics.feed, "m"), "rated torque": (axis.rated_torque, "N.m"),
+        "torque constant": (axis.torque_constant, "N.m/A"), "encoder": (axis.encoder, "increments"),
+    }  # fmt: skip
+    parts += [
+        f"{name} {value:g} {unit}" for name, (value, unit) in given.items() if value is not None
+    ]
+    return ", ".join(parts)
+
+
 def adopted(found: Adopted, screen: Screen) -> None:
     """A run of another computer, before it is taken in."""
     parameters = found.profile.parameters
     screen.say(f"run {found.run}")
-    screen.say(f"  axis     {found.axis}")
-    screen.say(f"  link     {found.link}")
+    screen.say(f"  axis     {found.axis.name}: {_mechanics(found.axis)}")
+    screen.say(f"  link     {found.axis.link}")
     screen.say(f"  drive    serial {found.serial or 'unknown'}")
     screen.say(f"  profile  {found.profile.name} {found.profile.version}, as known here")
-    rows = [
-        [
-            i["parameter"],
-            str(parameters[i["parameter"]].address) if i["parameter"] in parameters else "PDO",
-            i["kind"], str(i["old"]), str(i["new"]), i["state"],
-        ]
-        for i in found.intents
-    ]  # fmt: skip
-    columns = ["parameter", "address", "kind", "old", "new", "state"]
-    screen.table("what it wrote, raw values", columns, rows)
+    open_ones = [i for i in found.intents if i["state"] != "restored"]
+    names = dict.fromkeys(i["parameter"] for i in open_ones)
+    rows = []
+    for name in names:
+        of_it = [i for i in open_ones if i["parameter"] == name]
+        address = str(parameters[name].address) if name in parameters else "PDO"
+        first, last = of_it[0], of_it[-1]
+        rows.append([name, address, first["kind"], str(first["old"]), str(last["new"])])
+    columns = ["parameter", "address", "kind", "before", "written"]
+    if rows:
+        screen.table("what it has left in the drive, raw values", columns, rows)
+    screen.say(f"{len(found.intents) - len(open_ones)} more writes are put back already")

@@ -9,6 +9,7 @@ from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from commissioning.cli.output import say
 from profiles.errors import UsageError
 
 __all__ = ["tracer"]
@@ -32,10 +33,15 @@ def tracer(target: str | None, link: str | None) -> Generator[Trace | None]:
         file = Path(target).open("wb")  # noqa: SIM115 - closed below, errors of the job are its own
     except OSError as error:
         raise UsageError(f"--trace {target}: cannot be written: {error.strerror}") from None
-    with file:
+    try:
         if not canopen:
             file.write(_PCAP_HEADER)
         yield _harmless(_candump(file) if canopen else _pcap(file))
+    finally:
+        try:
+            file.close()
+        except OSError as error:
+            say(f"tworelay: --trace {target}: is not whole: {error.strerror}", err=True)
 
 
 def _harmless(write: Trace) -> Trace:

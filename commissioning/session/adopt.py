@@ -15,13 +15,17 @@ from typing import Any
 from commissioning.runs import RunFolder, resolve
 from commissioning.session.apply import axis_of_run
 from commissioning.session.desk import Desk
-from profiles.commands import commands
+from drivers.link import check_files_of_others
+from profiles.axis import Axis
+from profiles.commands import commands_of
 from profiles.errors import ProfileError, Refused, UnknownName, UsageError
 from profiles.library import load_profile, source_text
 from profiles.schema import Profile, Protection
 
 __all__ = ["Adopted", "adopt"]
 
+_SHOWN = 5  # of what differs
+_ID = re.compile(r"[0-9]{8}-[0-9]{6}-[A-Za-z0-9][A-Za-z0-9._-]{0,100}")
 _PDO = re.compile(r"1[0-9A-F]{3}h:[0-9A-F]{2}")  # the bus' own: its driver looks at each by itself
 
 
@@ -31,14 +35,13 @@ class Adopted:
 
     Attributes
     ----------
-    run, axis, link, serial : as the run says
+    run, axis, serial : as the run says; what the axis says scales torques and positions
     profile : the one known here
     intents : rows of the journal: kind, parameter, old, new, state
     """
 
     run: str
-    axis: str
-    link: str
+    axis: Axis
     serial: str
     profile: Profile
     intents: list[dict[str, Any]]
@@ -51,36 +54,49 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
 
     Raises UsageError, Refused.
     """
+    if not (path / "run.json").is_file():
+        raise UsageError(
+            f"{path}: is no folder of an exported run; 'tworelay export RUN DIR' makes one"
+        )
     run, folder = resolve(desk.journal, str(path))
     tree = folder.exported
-    if tree is None:
-        raise UsageError(f"{path}: is no folder of an exported run")
+    assert tree is not None
+    if not _ID.fullmatch(run) or run.endswith((".", ".toml")):
+        raise UsageError(f"{path}: '{run:.100}' is no id of a run")
+    target, result = RunFolder.of(desk.journal, run), folder.result()
     if desk.journal.knows(run):
         raise Refused(f"run {run} is known here: name it instead of the folder")
-    target, result = RunFolder.of(desk.journal, run), folder.result()
+    if target.path.exists():
+        raise Refused(
+            f"{target.path}: is there, of a run that the journal does not know: move it away"
+        )
     record = tree["run"]
     for key, there in (("run", run), ("axis", record["axis"]), ("link", record["link"])):
         if result[key] != there:
             raise UsageError(
                 f"{path}: its result and its journal are of two runs ('{key}' differs)"
             )
-    if axis_of_run(folder.record(desk.journal, run), folder, None).name != record["axis"]:
+    axis = axis_of_run(folder.record(desk.journal, run), folder, record["link"])
+    check_files_of_others(record["link"], "state")
+    if axis.name != record["axis"]:
         raise UsageError(f"{path}: its axis is named otherwise than its run")
     name, here = _known_here(profile, result, path)
     theirs = _of_the_run(folder, path)
-    found = _differences(tree["intents"], result, theirs, here)
+    found = _differences(tree["intents"], result, theirs, here) or _impossible(tree, result, here)
     if found:
         raise Refused(
             f"{path}: not taken in, it differs from profile '{here.name}' as it is known here: "
-            + "; ".join(found)
+            + "; ".join(found[:_SHOWN])
+            + (f"; and {len(found) - _SHOWN} more" if found[_SHOWN:] else "")
         )
-    show(Adopted(run, record["axis"], record["link"], record["serial"], here, tree["intents"]))
+    samples = folder.samples()
+    show(Adopted(run, axis, record["serial"], here, tree["intents"]))
     desk.agree(
         "This run of another computer will be TAKEN IN: 'apply', 'verify' and 'restore' then write to the "
         f"drive of axis '{record['axis']}' by it.",
         record["axis"],
+        "it was not taken in",
     )
-    samples = folder.samples()
     target.save(result, samples, source_text(name))
     return desk.journal.adopt(tree, str(path))
 
@@ -116,6 +132,7 @@ def _differences(
     wanted |= {(change["parameter"], "compensation") for change in result["compensation"]}
     sets = (item["parameters"] for item in result["tuning"])
     wanted |= {(change["parameter"], "gain") for item in sets for change in item}
+    known = commands_of(here)
     found = []
     for name, kind in sorted(wanted):
         if kind == "experiment" and here.bus == "canopen" and _PDO.fullmatch(name):
@@ -130,7 +147,26 @@ def _differences(
                 f"'{name}' has protection '{ours.protection}' and not '{other.protection}'"
             )
         elif ours.protection != kind and not (
-            kind == Protection.EXPERIMENT and name in commands(here)
+            kind == Protection.EXPERIMENT
+            and ours.protection is Protection.COMMAND
+            and name in known.restorable
         ):
             found.append(f"'{name}' has protection '{ours.protection}' and is written as {kind}")
+    return found
+
+
+def _impossible(tree: dict[str, Any], result: dict[str, Any], here: Profile) -> list[str]:
+    """Values that the profile known here does not let be written."""
+    values = [(i["parameter"], i["old"]) for i in tree["intents"] if i["state"] != "restored"]
+    values += [(change["parameter"], change["new_raw"]) for change in result["compensation"]]
+    parameters, known = here.parameters, commands_of(here)
+    found = []
+    for name, raw in dict.fromkeys(values):
+        if name not in parameters or name in known.set_points:
+            continue
+        low, high = parameters[name].range
+        if not parameters[name].allows(raw):
+            found.append(f"'{name}' does not take {raw} ({low:g}…{high:g})")
+        elif known.enables(name, raw):
+            found.append(f"'{name}' is to be {raw}, which enables the drive")
     return found

@@ -14,7 +14,7 @@ from commissioning.runs import RunFolder, resolve
 from commissioning.session.desk import Desk, connect, none_unfinished, same_drive
 from commissioning.settings import Restored, Return, Settings, planned, put_back, settle
 from drivers.drive import Drive, StopReport
-from drivers.link import check_state_of_others
+from drivers.link import check_files_of_others
 from profiles.axis import Axis
 from profiles.errors import (
     DriveFault,
@@ -26,6 +26,7 @@ from profiles.errors import (
     UsageError,
     WriteFailed,
 )
+from profiles.library import builtin_names
 from profiles.schema import Profile, Protection, Trust, Unit
 
 __all__ = [
@@ -58,8 +59,10 @@ def axis_of_run(record: RunRecord, folder: RunFolder, link: str | None) -> Axis:
     except (KeyError, ValueError, TypeError) as error:
         raise UsageError(f"run {record.id}: its axis cannot be read ({error})") from None
     if link is None and record.adopted:
-        check_state_of_others(record.link)
+        check_files_of_others(record.link)
     profile = folder.profile_path()
+    if record.adopted and not profile.exists() and record.profile not in builtin_names():
+        raise UsageError(f"run {record.id}: the profile of its drive is missing")
     return axis.model_copy(
         update={
             "link": link or record.link,
@@ -295,6 +298,11 @@ def restore(
     if run is None:
         waiting = desk.journal.open_runs()
         if not waiting:
+            if others := desk.journal.open_runs(adopted=True):
+                raise Refused(
+                    "nothing of this computer's own is to be restored; of runs that were taken in: "
+                    + ", ".join(others[:5])
+                )
             return Restored()
         if waiting[0] != desk.journal.last_written():
             raise Refused(
@@ -314,14 +322,24 @@ def restore(
         same_drive(drive.identity(), record.serial, run_id, drive.link, desk)
         _check_not_enabled(drive, desk, run_id)
         intents = desk.journal.intents(run_id, open_only=True)
-        show(planned(drive, intents, force=force))
-        stores = drive.profile.store is not None and desk.journal.memory(run_id) in _OURS
+        plan = planned(drive, intents, force=force)
+        show(plan)
         if dry_run:
             return None
-        desk.agree(
-            f"These values will be WRITTEN BACK to axis '{record.axis}'{' and stored' if stores else ''}.",
-            record.axis,
-        )
+        lasting = any(intent.kind != "experiment" for intent in intents)
+        stores = drive.profile.store is not None and desk.journal.memory(run_id) in _OURS
+        then = " and stored" if lasting and stores else ""
+        there = bool(plan) and all(row.there == row.old for row in plan)
+        if not there:
+            desk.agree(
+                f"These values will be WRITTEN BACK to axis '{record.axis}'{then}.", record.axis
+            )
+        elif then:
+            desk.agree(
+                f"The drive of axis '{record.axis}' has these values already; they will be STORED, "
+                "as the run had stored others.",
+                record.axis,
+            )
         with desk.interruption.deferred():
             return _put_all_back(drive, desk, run_id, force=force)
 
@@ -349,7 +367,8 @@ def _put_all_back(drive: Drive, desk: Desk, run_id: str, *, force: bool) -> Rest
     if not outcome.complete:
         unstored = "; nothing was stored" if lasting else ""
         raise _Incomplete(
-            f"restore of run {run_id} is incomplete: {outcome}{unstored}",
+            f"restore of run {run_id} is incomplete: {outcome}{unstored}; the run stays open, and "
+            f"'tworelay restore {run_id}' tries again",
             (*outcome.failed, *outcome.skipped),
         )
     if lasting and drive.profile.store is not None and desk.journal.memory(run_id) in _OURS:

@@ -63,7 +63,7 @@ def _run(
     limits = choose_limits(drive, axis, options)
     if options.dry_run:
         return _dry_run(axis, drive, limits, desk, result)
-    desk.agree(_arming_text(axis, limits), axis.name)
+    desk.agree(_arming_text(axis, limits), axis.name, "nothing was moved or written")
     look(drive, axis)  # the question may have stood for long
     none_unfinished(desk, identity.serial)
     limits = choose_limits(drive, axis, options)

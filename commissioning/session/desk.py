@@ -57,10 +57,10 @@ class Desk:
     confirm: Callable[[str, str], bool]
     trace: Callable[..., None] | None = None
 
-    def agree(self, question: str, word: str) -> None:
-        """Ask; raises Refused when the answer is no."""
+    def agree(self, question: str, word: str, undone: str = "nothing was written") -> None:
+        """Ask; raises Refused when the answer is no. `undone`: what has not happened then."""
         if not self.confirm(question, word):
-            raise Refused("not confirmed: nothing was moved or written")
+            raise Refused(f"not confirmed: {undone}")
 
 
 def begin_run(desk: Desk, drive: Drive, identity: Identity, axis: Axis, fraction: float) -> str:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import shutil
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 from commissioning.processes import is_alive
 from commissioning.runs import RunFolder
 from commissioning.session.desk import Desk
-from profiles.errors import JournalError
+from profiles.errors import JournalError, UsageError
 
 __all__ = ["Pruned", "prune"]
 
@@ -22,12 +23,19 @@ class Pruned:
     ----------
     runs : ids, the oldest first
     size : bytes of their files
-    kept : ids of runs that have something to restore, or are in progress
+    kept : ids of runs that have something to restore, are in progress, or lie elsewhere
     """
 
     runs: tuple[str, ...]
     size: int
     kept: tuple[str, ...]
+
+
+def _size(folder: Path) -> int | None:
+    """Bytes of a run's files; None where there are none. Raises OSError."""
+    if not folder.is_dir():
+        return None
+    return sum(path.lstat().st_size for path in folder.rglob("*"))
 
 
 def prune(before: float, desk: Desk, *, dry_run: bool) -> Pruned:
@@ -41,8 +49,13 @@ def prune(before: float, desk: Desk, *, dry_run: bool) -> Pruned:
     kept: list[str] = []
     size = 0
     for record in desk.journal.runs_before(before):
-        folder = RunFolder.of(desk.journal, record.id)
-        if not folder.path.is_dir():
+        try:
+            folder = RunFolder.of(desk.journal, record.id)
+            used = _size(folder.path)
+        except (UsageError, OSError):  # somebody put it elsewhere
+            kept.append(record.id)
+            continue
+        if used is None:
             continue
         context = record.context
         in_progress = record.status == "running" and is_alive(
@@ -52,7 +65,7 @@ def prune(before: float, desk: Desk, *, dry_run: bool) -> Pruned:
             kept.append(record.id)
             continue
         runs.append(record.id)
-        size += sum(path.lstat().st_size for path in folder.path.iterdir())
+        size += used
     found = Pruned(tuple(runs), size, tuple(kept))
     if not runs or dry_run:
         return found
@@ -61,6 +74,7 @@ def prune(before: float, desk: Desk, *, dry_run: bool) -> Pruned:
         f"The files of {len(runs)} runs before {day} ({size / 1e6:.1f} MB: samples, results, reports) "
         "will be DELETED; what they wrote to their drives stays in the journal.",
         "delete",
+        "nothing was deleted",
     )
     for run in runs:
         try:

@@ -73,7 +73,7 @@ def verify(
     record, result = desk.journal.run(run_id), folder.result()
     _check(result, run_id)
     axis = axis_of_run(record, folder, link)
-    options = _options(result, limits)
+    options = _options(result, limits, adopted=record.adopted)
     with connect(axis, options.cycle, desk, f"run {run_id}") as drive:
         _look(drive, axis, options, desk, record)
         settings = Settings(desk.journal, run_id, drive)
@@ -122,15 +122,16 @@ def _check(result: dict[str, Any], run_id: str) -> None:
         raise Refused(f"run {run_id} cannot be verified: {reason}")
 
 
-def _options(result: dict[str, Any], limits: dict[str, Any]) -> Options:
-    """Those of the run, unless they are given anew."""
-    was = result["experiment"].get("limits") or {}
+def _options(result: dict[str, Any], limits: dict[str, Any], *, adopted: bool) -> Options:
+    """Those of the run, unless they are given anew; of an adopted run nobody here has agreed to any."""
+    experiment = {} if adopted else result["experiment"] or {}
+    was = experiment.get("limits") or {}
     named = {
         "travel": was.get("travel"),
         "max_speed": was.get("speed"),
         "max_torque": was.get("torque"),
+        "cycle": experiment.get("cycle"),
     }
-    named["cycle"] = result["experiment"]["cycle"]
     given = {name: value for name, value in limits.items() if value is not None}
     return Options(**{**named, **given})
 

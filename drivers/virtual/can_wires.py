@@ -134,6 +134,8 @@ class SocketcandServer:
         self._tasks.add(task)
 
         def deliver(frame: Frame) -> None:
+            if writer.transport.is_closing():
+                return
             if writer.transport.get_write_buffer_size() > _MOST_UNREAD:
                 writer.transport.abort()  # it does not read: it hears no more
                 return
@@ -165,6 +167,7 @@ class SocketcandServer:
                 elif words[0] == "echo":
                     writer.write(b"< echo >")
                 await writer.drain()  # what it does not read holds up only itself
+                await asyncio.sleep(0)  # however much it says, others have their turn
         except (
             asyncio.IncompleteReadError,
             asyncio.LimitOverrunError,

@@ -257,7 +257,7 @@ def test_what_commands_the_drive_is_put_back_last_and_only_without_energy(drive:
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("word", [0x06, 0x07, 0x0F])
+@pytest.mark.parametrize("word", [0x06, 0x07, 0x0F, 0x16, 0x1F, 0x10F, 0x02])
 def test_a_word_that_enables_is_never_put_back(drive: Drawer, word: int) -> None:
     outcome = restored(drive, intent("controlword", word, 0), force=True)
     assert "which enables the drive" in outcome.skipped["controlword"]

@@ -169,10 +169,128 @@ def test_what_is_taken_in_is_shown_and_agreed_to(tworelay: Tworelay, exported: P
     assert "is known here" in again.stderr
     assert tworelay("report", run).returncode == 0
     assert tworelay("report", "last").returncode == 2, "it was not measured here"
-    assert tworelay("restore", "--yes").stdout.strip() == "nothing to restore"
+    bare = tworelay("restore", "--yes")
+    assert bare.returncode == 3
+    assert f"of runs that were taken in: {run}" in bare.stderr
     assert tworelay("restore", run, "--dry-run").returncode == 0
     assert (home() / "runs" / run / "profile.toml").read_text() == source_text("virtual-modbus")
     assert not (home() / "runs" / run / "report.html").is_symlink()
+
+
+def test_what_is_written_beside_a_file_is_not_written_elsewhere(
+    tworelay: Tworelay, exported: Path, tmp_path: Path
+) -> None:
+    """A name that can be foretold can be taken beforehand, by a link."""
+    mine = tmp_path / "mine.txt"
+    mine.write_text("mine")
+    for name in ("report.html", "run.json", "loci.svg"):
+        for pid in (os.getpid(), *range(1, 300)):
+            (exported / f"{name}.{pid}.new").symlink_to(mine)
+    for words in (
+        ["report", str(exported)],
+        ["tune", str(exported)],
+        ["plot", "loci", str(exported)],
+    ):
+        assert tworelay(*words).returncode == 0
+    assert mine.read_text() == "mine"
+    assert not (exported / "report.html").is_symlink()
+
+
+@pytest.mark.parametrize(
+    "run", ["last", "20261126-002213-x.toml", "20261126-002213-x.", "CON", "x", "..", "a" * 300]
+)
+def test_a_name_that_means_something_else_is_no_id(
+    tworelay: Tworelay, exported: Path, run: str
+) -> None:
+    def change(result: dict[str, Any], journal: dict[str, Any]) -> None:
+        result["run"] = journal["run"]["id"] = run
+
+    done = tworelay("adopt", changed(exported, change), "--yes")
+    assert done.returncode == 2
+    assert "is no id of a run" in done.stderr
+    assert nothing_is_known()
+
+
+def test_a_run_that_is_there_is_not_overwritten(tworelay: Tworelay, exported: Path) -> None:
+    run = json.loads((exported / "run.json").read_text())["run"]
+    (home() / "runs" / run).mkdir(parents=True)
+    (home() / "runs" / run / "run.json").write_text("mine")
+    done = tworelay("adopt", str(exported), "--yes")
+    assert done.returncode == 3
+    assert "of a run that the journal does not know" in done.stderr
+    assert (home() / "runs" / run / "run.json").read_text() == "mine"
+    shutil.rmtree(home() / "runs" / run)
+    assert tworelay("adopt", str(exported), "--yes").returncode == 0
+
+    def shout(result: dict[str, Any], journal: dict[str, Any]) -> None:
+        result["run"] = journal["run"]["id"] = run.upper()
+
+    done = tworelay("adopt", changed(exported, shout), "--yes")
+    assert done.returncode == 3
+    assert "is known here" in done.stderr
+
+
+def test_a_profile_is_not_taken_from_where_the_run_says(
+    tworelay: Tworelay, exported: Path, tmp_path: Path
+) -> None:
+    elsewhere = tmp_path / "elsewhere.toml"
+    elsewhere.write_text(source_text("virtual-modbus"))
+    (exported / "profile.toml").unlink()
+    (exported / "profile.toml").symlink_to(elsewhere)
+    for words in (
+        ["tune", str(exported)],
+        ["adopt", str(exported), "--yes"],
+        ["report", str(exported)],
+    ):
+        done = tworelay(*words)
+        assert done.returncode == (0 if words[0] == "report" else 2), done.stderr
+    (exported / "profile.toml").unlink()
+
+    def change(result: dict[str, Any], journal: dict[str, Any]) -> None:
+        journal["run"]["profile"] = str(elsewhere)
+
+    done = tworelay("tune", changed(exported, change))
+    assert done.returncode == 2
+    assert "the profile of its drive is missing" in done.stderr
+
+
+def test_a_link_of_others_presents_no_key_of_ours(
+    tworelay: Tworelay, exported: Path, tmp_path: Path
+) -> None:
+    def change(result: dict[str, Any], journal: dict[str, Any]) -> None:
+        result["link"] = journal["run"]["link"] = (
+            f"modbus-tls://127.0.0.1:1?ca={tmp_path}/a&cert={tmp_path}/b"
+        )
+
+    taken = tworelay("adopt", changed(exported, change), "--yes")
+    assert taken.returncode == 0, taken.stderr
+    for act in ("apply", "verify", "restore"):
+        done = tworelay(act, taken.stdout.split()[-1], "--yes")
+        assert done.returncode == 3
+        assert "its ca is a file outside" in done.stderr
+
+
+def test_an_adopted_run_says_nothing_about_how_far_the_axis_may_go(
+    tworelay: Tworelay, exported: Path
+) -> None:
+    def change(result: dict[str, Any], journal: dict[str, Any]) -> None:
+        result["experiment"]["limits"] = {"travel": 1e6, "torque": 1e9, "speed": 1e9}
+        result["experiment"]["cycle"] = 1e200
+        journal["run"]["context"]["axis"]["travel"] = None
+
+    taken = tworelay("adopt", changed(exported, change), "--yes")
+    run = taken.stdout.split()[-1]
+    done = tworelay("verify", run, "--yes")
+    assert done.returncode in (2, 3)
+    assert "travel" in done.stderr
+
+    def none(result: dict[str, Any], journal: dict[str, Any]) -> None:
+        result["experiment"] = None
+        result["run"] = journal["run"]["id"] = run.replace("-bench", "-other")
+
+    taken = tworelay("adopt", changed(exported, none), "--yes")
+    done = tworelay("verify", taken.stdout.split()[-1], "--yes", "--travel", "3")
+    assert "internal error" not in done.stderr
 
 
 DIFFERENCES: dict[str, tuple[Change, str]] = {
@@ -205,6 +323,30 @@ DIFFERENCES: dict[str, tuple[Change, str]] = {
             }
         ),
         "'store_command' has protection 'maintenance' and is written as experiment",
+    ),
+    "a command of the moment": (
+        lambda r, j: j["intents"].append(
+            {
+                "kind": "experiment",
+                "parameter": "controlword",
+                "old": 31,
+                "new": 0,
+                "state": "verified",
+            }
+        ),
+        "'controlword' has protection 'command' and is written as experiment",
+    ),
+    "a value out of range": (
+        lambda r, j: j["intents"][-1].update(
+            parameter="coulomb_positive", old=32000, state="verified"
+        ),
+        "'coulomb_positive' does not take 32000 (0…1000)",
+    ),
+    "a proposal out of range": (
+        lambda r, j: [
+            c.update(new_raw=-5) for c in r["compensation"] if c["parameter"] == "coulomb_positive"
+        ],
+        "'coulomb_positive' does not take -5 (0…1000)",
     ),
     "another proposal": (
         lambda r, j: r["compensation"].append({**r["compensation"][0], "parameter": "controlword"}),
@@ -325,7 +467,9 @@ def test_no_link_is_followed(tworelay: Tworelay, exported: Path, tmp_path: Path,
     (target / name).symlink_to(mine)
     assert tworelay("export", str(exported), str(target)).returncode == 0
     assert mine.read_text() == "mine"
-    assert not (target / name).is_symlink()
+    assert not (target / name).is_symlink() or name == "report.html", (
+        "a page of others is not copied"
+    )
     (exported / name).unlink()
     (exported / name).symlink_to(mine)
     sent = str(exported)

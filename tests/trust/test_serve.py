@@ -96,3 +96,19 @@ def test_connections_beyond_what_is_possible_are_one_line(wire: str, tmp_path: P
         assert "as many open files as it may have" in process.stderr.readline()
         process.send_signal(signal.SIGTERM)
         assert process.stderr.read() == ""
+
+
+def test_many_listeners_that_do_not_read_are_let_go_without_a_word(tmp_path: Path) -> None:
+    """Each frame of one goes to all."""
+    with contextlib.ExitStack() as clients, served("--socketcand", tmp_path) as (process, port):
+        for _ in range(20):
+            one = clients.enter_context(socket.create_connection(("127.0.0.1", port)))
+            one.sendall(b"< open can0 >< rawmode >")
+        with socket.create_connection(("127.0.0.1", port)) as flood, contextlib.suppress(OSError):
+            flood.settimeout(1.0)
+            for _ in range(500):
+                flood.sendall(REQUESTS["--socketcand"])
+        assert memory(process) < _MEMORY
+        process.send_signal(signal.SIGTERM)
+        assert process.stderr is not None
+        assert process.stderr.read() == ""

@@ -343,9 +343,9 @@ DIFFERENCES: dict[str, tuple[Change, str]] = {
         "'coulomb_positive' does not take 32000 (0…1000)",
     ),
     "a proposal out of range": (
-        lambda r, j: [
-            c.update(new_raw=-5) for c in r["compensation"] if c["parameter"] == "coulomb_positive"
-        ],
+        lambda r, j: next(
+            c for c in r["compensation"] if c["parameter"] == "coulomb_positive"
+        ).update(new_raw=-5),
         "'coulomb_positive' does not take -5 (0…1000)",
     ),
     "another proposal": (

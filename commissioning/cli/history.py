@@ -40,7 +40,7 @@ def prune(before: str, dry_run: bool, yes: bool) -> None:
     with at_desk(screen) as desk:
         found = delete(instant, desk, dry_run=dry_run)
     verb = "would be deleted" if dry_run else "deleted"
-    screen.say(f"files of {len(found.runs)} runs {verb}, {found.size / 1e6:.1f} MB")
+    screen.say(f"files of {len(found.runs)} run(s) {verb}, {found.size / 1e6:.1f} MB")
     for run in found.kept:
         screen.say(
             f"  kept: {run}, which has something to restore, is in progress, or lies elsewhere"

@@ -71,7 +71,7 @@ def prune(before: float, desk: Desk, *, dry_run: bool) -> Pruned:
         return found
     day = time.strftime("%Y-%m-%d", time.localtime(before))
     desk.agree(
-        f"The files of {len(runs)} runs before {day} ({size / 1e6:.1f} MB: samples, results, reports) "
+        f"The files of {len(runs)} run(s) before {day} ({size / 1e6:.1f} MB: samples, results, reports) "
         "will be DELETED; what they wrote to their drives stays in the journal.",
         "delete",
         "nothing was deleted",

@@ -26,9 +26,9 @@ def test_old_runs_go_and_those_with_anything_to_restore_stay(
     assert folders() == {measured, written}
     for before in ("2020-01-01", "1d"):
         done = tworelay("history", "prune", "--before", before, "--yes")
-        assert done.stdout.strip() == "files of 0 runs deleted, 0.0 MB"
+        assert done.stdout.strip() == "files of 0 run(s) deleted, 0.0 MB"
     shown = tworelay("history", "prune", "--before", "0d", "--dry-run")
-    assert "files of 1 runs would be deleted" in shown.stdout
+    assert "files of 1 run(s) would be deleted" in shown.stdout
     assert f"kept: {written}" in shown.stdout
     refused = tworelay("history", "prune", "--before", "0d")
     assert refused.returncode == 3

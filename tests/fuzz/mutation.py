@@ -8,7 +8,7 @@ from typing import Any
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
-__all__ = ["fuzzed", "mutated"]
+__all__ = ["fuzzed", "mutated", "slowly_fuzzed"]
 
 # `make fuzz` asks for many thousands
 CASES = int(os.environ.get("TWORELAY_FUZZ", "60"))
@@ -16,6 +16,10 @@ fuzzed = settings(
     max_examples=CASES, deadline=None, database=None, derandomize=CASES <= 1000,
     suppress_health_check=list(HealthCheck),
 )  # fmt: skip
+
+slowly_fuzzed = settings(
+    fuzzed, max_examples=max(CASES // 10, min(CASES, 60))
+)  # 0.1 s and more each
 
 _NASTY = (
     b"\0", b"\xff", b"\xef\xbb\xbf", b"=", b"[", b"]", b'"', b"'", b"\n", b"\r", b"-", b"9" * 40, b"1e999",

@@ -28,7 +28,7 @@ from commissioning.stored import checked_journal, checked_result
 from profiles.errors import JournalError, TwoRelayError
 from profiles.library import load_profile
 from tests.command import in_this_process
-from tests.fuzz.mutation import fuzzed, mutated
+from tests.fuzz.mutation import fuzzed, mutated, slowly_fuzzed
 
 PROFILE = load_profile("virtual-modbus")
 WRONG: tuple[Any, ...] = (
@@ -93,7 +93,7 @@ def read_by_all(result: dict[str, Any], journal: dict[str, Any]) -> None:
 
 
 @given(st.data())
-@fuzzed
+@slowly_fuzzed
 def test_a_run_with_something_else_in_it(
     sent: tuple[dict[str, Any], dict[str, Any]], data: st.DataObject
 ) -> None:
@@ -128,7 +128,7 @@ def test_what_is_hardly_json(tmp_path: Path, data: bytes) -> None:
 
 
 @given(st.data())
-@fuzzed
+@slowly_fuzzed
 def test_a_run_folder_whose_bytes_were_changed(
     sent: tuple[dict[str, Any], dict[str, Any]], tmp_path: Path, data: st.DataObject
 ) -> None:

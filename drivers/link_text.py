@@ -93,12 +93,8 @@ def parse(text: str) -> Link:
     if scheme not in SCHEMES or not mark:
         known = ", ".join(f"{scheme}://" for scheme in SCHEMES)
         near = difflib.get_close_matches(scheme, SCHEMES, 1) if mark else []
-        hint = f"did you mean {near[0]}://? " if near else ""
-        raise UsageError(
-            f"{shown} is no link and no axis file; {hint}A link begins with {known}".replace(
-                "; A link", "; a link"
-            )
-        )
+        hint = f"; did you mean {near[0]}://?" if near else ""
+        raise UsageError(f"{shown} is no link and no axis file{hint}; a link begins with {known}")
     if len(text) > _LONGEST:
         raise UsageError(f"{shown}…: a link has at most {_LONGEST} characters")
     if not text.isascii() or not text.isprintable() or " " in text or "#" in text:

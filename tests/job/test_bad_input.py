@@ -63,6 +63,7 @@ def assert_safe_and_complete(link: str) -> None:
             "no option of a virtual axis named 'friction'",
         ),
         (["identify", "nosuch"], "no link and no axis file"),
+        (["identify", "modbus-tpc://10.0.0.1"], "did you mean modbus-tcp://?"),
         (["identify", "nosuch.toml"], "cannot be read"),
         (["identify", "virtual://bench", "--travel", "abc"], "must be a positive number"),
         (["identify", "virtual://bench", "--travel", "-1"], "must be a positive number"),

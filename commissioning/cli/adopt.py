@@ -30,4 +30,7 @@ def command(folder: Path, profile: str | None, yes: bool) -> None:
     screen = Screen(None, yes=yes)
     with at_desk(screen) as desk:
         run = adopt(folder, profile, desk, lambda found: show.adopted(found, screen))
-    screen.say(f"run {run} is taken in: tworelay apply {run}, or tworelay restore {run}")
+    screen.say(
+        f"to write what it proposed: tworelay apply {run}; to take it back: tworelay restore {run}"
+    )
+    screen.say(f"run {run}")

@@ -48,7 +48,7 @@ class Adopted:
 
 
 def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted], None]) -> str:
-    """Take in the exported run in `path`; returns its id.
+    """Take in the exported run in `path`, unless it is known; returns its id.
 
     `profile` : name or file of the drive's profile, where none of that name is built in
 
@@ -63,9 +63,10 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
     assert tree is not None
     if not _ID.fullmatch(run) or run.endswith((".", ".toml")):
         raise UsageError(f"{path}: '{run:.100}' is no id of a run")
-    target, result = RunFolder.of(desk.journal, run), folder.result()
     if desk.journal.knows(run):
-        raise Refused(f"run {run} is known here: name it instead of the folder")
+        desk.tell(f"run {run} is known here: nothing was taken in")
+        return run
+    target, result = RunFolder.of(desk.journal, run), folder.result()
     if target.path.exists():
         raise Refused(
             f"{target.path}: is there, of a run that the journal does not know: move it away"

@@ -77,7 +77,9 @@ def own_run(journal: Journal, run: str) -> tuple[str, RunFolder]:
     if folder.exported is None:
         return run_id, folder
     if journal.knows(run_id):
-        raise Refused(f"{run} is a copy of run {run_id}, which is known here: name that")
+        raise Refused(
+            f"{run} is an exported run: adopt it first, or name run {run_id}, which is known here"
+        )
     raise Refused(f"{run} is an exported run: adopt it first ('tworelay adopt {run}')")
 
 

@@ -15,7 +15,6 @@ from profiles.schema import Condition, Power, Profile, Step
 __all__ = ["Cia402Power", "PowerStage", "ProcedurePower", "perform", "power_of"]
 
 _POLL = 0.005  # s between two looks at a state
-_TRANSITION = 2.0  # s for one transition of the state machine, brake included
 
 _WAY_UP = "switch on disabled", "ready to switch on", "switched on", "operation enabled"
 
@@ -93,6 +92,7 @@ class Cia402Power:
     def __init__(self, bus: Bus, profile: Profile, describe: Callable[[], str]) -> None:
         self._bus = bus
         self._describe = describe
+        self._patience = profile.patience.enable
         self._control = profile.parameters["controlword"].address
         self._state = profile.parameters["statusword"].address
         out = profile.cycle.out
@@ -164,8 +164,8 @@ class Cia402Power:
                     frame[at] = step
                 self._bus.write(self._control, step)
                 sent, cycles = (here, step), 0
-            elif cycles * self._bus.cycle >= _TRANSITION:
-                raise PreflightRefused(_stuck(here, enabled=enabled))
+            elif cycles * self._bus.cycle >= self._patience:
+                raise PreflightRefused(_stuck(here, self._patience, enabled=enabled))
             else:
                 # the cycle feeds the drive's watchdog while brake and ramps take their time
                 self._bus.exchange(tuple(frame))
@@ -184,6 +184,7 @@ class ProcedurePower:
     ) -> None:
         self._bus = bus
         self._describe = describe
+        self._patience = profile.patience.enable
         self._profile = profile
         self._power = power
         into = profile.cycle.in_
@@ -253,8 +254,8 @@ class ProcedurePower:
         while (self._holds(wanted) if enabled else self.is_energised()) is not enabled:
             if enabled and self.in_fault():
                 raise DriveFault(f"the drive went into fault while enabling: {self._describe()}")
-            if waited >= _TRANSITION:
-                raise PreflightRefused(_stuck(self.text(), enabled=enabled))
+            if waited >= self._patience:
+                raise PreflightRefused(_stuck(self.text(), self._patience, enabled=enabled))
             waited += self._turn(frame)
 
     def _perform(self, steps: tuple[Step, ...], what: str, wait: Callable[[], float]) -> None:
@@ -288,9 +289,9 @@ class ProcedurePower:
         return status
 
 
-def _stuck(here: str, *, enabled: bool) -> str:
+def _stuck(here: str, patience: float, *, enabled: bool) -> str:
     goal = "enabled" if enabled else "disabled"
     return (
-        f"the drive does not become {goal}: it stays '{here}' for {_TRANSITION:g} s "
-        "(STO or enable input open, or no mains?)"
+        f"the drive does not become {goal}: it stays '{here}' for {patience:g} s "
+        "(STO or enable input open, or no mains? If it needs longer: [patience] enable in its profile)"
     )

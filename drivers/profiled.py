@@ -49,7 +49,6 @@ _COUNTED_IN_RATED = {
 _COUNTED_IN_INCREMENTS = {Unit.INCREMENT, Unit.INCREMENT_PER_SECOND}
 _POLL = 0.005  # s between two looks at a state
 _BUSY = 0.05  # s until a busy drive is asked again
-_MODE_CHANGE = 2.0  # s
 
 T = TypeVar("T")
 
@@ -117,7 +116,13 @@ class ProfiledDrive:
                 f"profile '{self.profile.name}' has no rated torque, so the torque scale is unknown; give "
                 "rated_torque (N.m of the motor) in the axis file"
             )
-        rated = self.read_raw("rated_torque") * base.scale
+        told = self._optional("rated_torque")
+        if told is None:
+            raise PreflightRefused(
+                f"the drive does not tell its rated torque ({base.address}), so its torque scale is unknown; "
+                "give rated_torque (N.m of the motor) in the axis file"
+            )
+        rated = told * base.scale
         if rated <= 0:
             raise PreflightRefused(
                 f"the drive's rated torque ({base.address}) is {rated:g} N.m, so its torque scale is "
@@ -133,8 +138,14 @@ class ProfiledDrive:
                 f"profile '{self.profile.name}' has no encoder resolution, so the position scale is "
                 "unknown; give encoder (increments per motor revolution) in the axis file"
             )
-        increments = self.read_raw("encoder_increments")
-        revolutions = self.read_raw("encoder_revolutions") if "encoder_revolutions" in known else 1
+        increments = self._optional("encoder_increments")
+        revolutions = self._optional("encoder_revolutions") or 1
+        if increments is None:
+            raise PreflightRefused(
+                f"the drive does not tell its encoder resolution ({known['encoder_increments'].address}), so "
+                "its position scale is unknown; give encoder (increments per motor revolution) in the axis "
+                "file"
+            )
         if increments <= 0 or revolutions <= 0:
             raise PreflightRefused(
                 f"the drive's encoder resolution is {increments}/{revolutions}: its position scale is "
@@ -167,6 +178,17 @@ class ProfiledDrive:
             return self._patiently(lambda: self._bus.read(parameter.address))
         except AccessDenied as error:
             raise AccessDenied(f"'{name}': {error}", busy=error.busy) from None
+
+    def _optional(self, name: str) -> int | None:
+        """Raw value of what not every drive has; None where this one has it not. Raises LinkError."""
+        if name not in self.profile.parameters:
+            return None
+        try:
+            return self.read_raw(name)
+        except AccessDenied as error:
+            if error.busy:
+                raise
+            return None
 
     def _patiently(self, action: Callable[[], T]) -> T:
         """What `action` gives, asked again while the drive says that it is busy."""
@@ -353,10 +375,19 @@ class ProfiledDrive:
     def reset_fault(self) -> None:
         """Acknowledge a fault; never enables. Raises PreflightRefused when the fault stays."""
         self._power.acknowledge()
-        if self.in_fault():
+        if not self._comes(lambda: not self.in_fault(), self.profile.patience.reset):
             raise PreflightRefused(
                 f"the drive stays in fault after a reset: {self.status_text()}; remove its cause"
             )
+
+    def _comes(self, sign: Callable[[], bool], patience: float) -> bool:
+        """Whether `sign` is given within `patience` s."""
+        until = self._bus.now() + patience
+        while not sign():
+            if self._bus.now() >= until:
+                return False
+            self._bus.wait(_POLL)
+        return True
 
     def enable(self, mode: Mode, rest: float = 0.0) -> None:
         """Energise in `mode` with `rest` (SI) as the set-point in force from the first moment."""
@@ -427,9 +458,9 @@ class ProfiledDrive:
             )
         if not codes:
             raise PreflightRefused(f"profile '{self.profile.name}' has no {mode} mode")
-        if "supported_modes" not in self.profile.parameters:
+        bits = self._optional("supported_modes")
+        if bits is None:
             return codes[0]
-        bits = self.read_raw("supported_modes")
         for code in codes:
             if code.supported_bit is None or bits >> code.supported_bit & 1:
                 return code
@@ -439,13 +470,14 @@ class ProfiledDrive:
         )
 
     def _set_mode(self, code: int) -> None:
+        patience = self.profile.patience.mode
         self._bus.write(self._parameter("mode_of_operation").address, code)
-        for _ in range(round(_MODE_CHANGE / _POLL)):
-            display = self.read_raw("mode_display")
-            if display == code:
-                return
-            self._bus.wait(_POLL)
-        raise PreflightRefused(f"the drive stays in mode {display} instead of {code}")
+        if self._comes(lambda: self.read_raw("mode_display") == code, patience):
+            return
+        raise PreflightRefused(
+            f"the drive stays in mode {self.read_raw('mode_display')} instead of {code} for {patience:g} s; "
+            "if it needs longer, say so in its profile: [patience] mode"
+        )
 
     def _select(self, mode: Mode, code: ModeCode) -> None:
         self._mode = mode

@@ -28,6 +28,7 @@ __all__ = [
     "ModbusAddress",
     "Mode",
     "Parameter",
+    "Patience",
     "Power",
     "Profile",
     "Step",
@@ -631,6 +632,14 @@ _GAIN_UNITS = {
 }
 
 
+class Patience(_Strict):
+    """How long a drive may take, s, to do what it was told: real ones take milliseconds, or seconds."""
+
+    reset: Annotated[float, Field(gt=0)] = 2.0  # until a fault is gone after its acknowledgement
+    mode: Annotated[float, Field(gt=0)] = 10.0  # until the mode that was asked for is displayed
+    enable: Annotated[float, Field(gt=0)] = 2.0  # one transition of the state machine, brake too
+
+
 class Brake(_Strict):
     """Holding brake: delays between command and effect, which the drive itself keeps."""
 
@@ -665,6 +674,7 @@ class Profile(_Strict):
     exclusive: Step | None = None  # locks other masters out: written first, put back last
     limits: dict[Literal["torque", "speed"], str] = {}
     watchdog: Watchdog
+    patience: Patience = Patience()
     brake: Brake = Brake()
     store: Store | None = None
     compensation: Compensation

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Literal
 
@@ -21,11 +22,20 @@ def command() -> None:
 
 
 @command.command("list")
+@click.option("--habits", is_flag=True, help="The habits that a served one can have.")
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
-def list_axes(as_json: bool) -> None:
+def list_axes(habits: bool, as_json: bool) -> None:
     """The virtual axes and their figures."""
-    from dataclasses import asdict
+    if habits:
+        from drivers.virtual.habits import HABITS
 
+        if as_json:
+            document(json_text({name: asdict(habit) for name, habit in HABITS.items()}))
+            return
+        for name, habit in HABITS.items():
+            default = f"={habit.default}" if habit.default else ""
+            say(f"{name + default:<18} {habit.text}")
+        return
     from drivers.virtual.axes import AXES
 
     if as_json:
@@ -63,6 +73,13 @@ def list_axes(as_json: bool) -> None:
 @click.option(
     "--profile", metavar="P", help="Behave by this drive's objects or registers: its twin."
 )
+@click.option(
+    "--habit",
+    "habits",
+    multiple=True,
+    metavar="NAME[=VALUE]",
+    help="A habit of real drives on CANopen ('tworelay virtual list --habits').",
+)
 @click.option("--clock", type=click.Choice(["wall", "step"]), default="wall", show_default=True)
 @click.option(
     "--state",
@@ -79,12 +96,14 @@ def serve_axis(
     socketcand: str | None,
     slcan: str | None,
     profile: str | None,
+    habits: tuple[str, ...],
     clock: Literal["wall", "step"],
     state: Path | None,
 ) -> None:
     """Serve the virtual AXIS until Ctrl-C; prints one ready LINK a line."""
     from drivers.link import parse, state_file
     from drivers.virtual.axes import configured
+    from drivers.virtual.habits import habits_of
     from drivers.virtual.memory import Memory
     from drivers.virtual.serve import Endpoints, serve
     from profiles.library import load_profile
@@ -99,15 +118,18 @@ def serve_axis(
         socketcand=_place(socketcand),
         slcan_pty=slcan == "pty",
         twin_of=load_profile(profile) if profile else None,
+        habits=habits_of(habits),
     )
     modbus = endpoints.modbus_tcp or endpoints.modbus_rtu_tcp or endpoints.modbus_rtu_pty
     other = endpoints.socketcand or endpoints.slcan_pty
+    if habits and modbus:
+        raise UsageError("--habit: there are habits of drives on CANopen only, so far")
     if endpoints.twin_of is not None and (modbus if endpoints.twin_of.bus == "canopen" else other):
         raise UsageError(
             f"profile '{endpoints.twin_of.name}' is for {endpoints.twin_of.bus}: its twin is served "
             "there only"
         )
-    if endpoints == Endpoints(twin_of=endpoints.twin_of):
+    if endpoints == Endpoints(twin_of=endpoints.twin_of, habits=endpoints.habits):
         raise UsageError(
             "serve where? Give --modbus-tcp HOST:PORT, --modbus-rtu pty, --modbus-rtu-tcp HOST:PORT, "
             "--socketcand HOST:PORT or --slcan pty"

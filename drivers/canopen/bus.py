@@ -42,6 +42,7 @@ _COMMANDS: dict[int | None, int] = {
 _STATES = {0x00: "booting", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 _HEARTBEAT_EVERY = 100  # ms, asked of a node that has none
 _HEARTBEATS_MISSED = 3
+_CONSUMER_BEGINS = 0.005  # s from the first beat to the second, before the node is started again
 _SYNCS_LOOKED_AT = 20
 _SYNC_PATIENCE = 1.0  # s
 _SYNC_TOLERANCE = 0.1  # of the cycle
@@ -180,7 +181,7 @@ class CanopenBus:
         self._idle = idle
         self._heartbeat_due = -1.0
         if self._running:
-            self._beat()
+            self._start_again()
             return
         if self._wire.awaits_sync:
             self._check_sync()
@@ -203,6 +204,16 @@ class CanopenBus:
         self._wire.heard_at = perf_counter()
         self._running = True
         self._beat()  # the drive watches from the first one on: before it is enabled, not after
+
+    def _start_again(self) -> None:
+        """A node that has lost our heartbeat is not operational any more (1029h:01 = 0)."""
+        self._beat()
+        if self._heartbeat is None:
+            return
+        self.wait(_CONSUMER_BEGINS)
+        self._heartbeat_due = -1.0
+        self._beat()
+        self._wire.nmt(NMT_OPERATIONAL)
 
     def changes(self) -> dict[str, tuple[int, int]]:
         """PDO parameters and heartbeat time that `start` changes: what is there, and what will be."""

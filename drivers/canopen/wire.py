@@ -192,6 +192,20 @@ def _first_line(error: Exception) -> str:
     return f"{line} ({reason})" if reason and reason not in line else line
 
 
+def _is_whole(data: bytes) -> bool:
+    """Whether an SDO answer has all its bytes: some servers leave out those that mean nothing."""
+    if len(data) == 8:
+        return True
+    command = data[0] if data else 0xFF
+    if command == 0x60:  # download begun, or done
+        return len(data) >= 4
+    if command & 0xF3 == 0x43:  # expedited upload with its size
+        return len(data) >= 8 - (command >> 2 & 3)
+    if command & 0xEF == 0x20:  # segment taken
+        return len(data) >= 1
+    return False
+
+
 def _expedited(index: int, sub: int, data: bytes) -> bytes:
     """An expedited download with its size (CiA 301, 7.2.4.3.3)."""
     command = 0x23 | (4 - len(data)) << 2
@@ -323,8 +337,8 @@ class CanWire:
         if cob_id == self._tpdo_id:
             self._tpdo = data
         elif cob_id == self._sdo.tx_cobid:
-            if len(data) == 8:
-                self._sdo.take(data)
+            if _is_whole(data):
+                self._sdo.take(data.ljust(8, b"\0"))
             else:
                 self.garbled += 1
         elif cob_id == EMERGENCY + self.node and len(data) == 8:

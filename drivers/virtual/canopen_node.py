@@ -27,6 +27,7 @@ __all__ = ["CanopenNode", "Frame"]
 _MS = 1_000_000  # ns
 
 _PRE_OPERATIONAL, _OPERATIONAL, _STOPPED = 0x7F, 0x05, 0x04
+_AFTER_AN_ERROR = {0: _PRE_OPERATIONAL, 2: _STOPPED}  # by 1029h:01
 _OFF = 1 << 31
 
 # CiA 301, SDO abort codes
@@ -117,9 +118,11 @@ class CanopenNode:
         self._download: tuple[int, int, bytearray] | None = None
         self._block: BlockUpload | None = None
         self._toggle = 0
+        self._error_behaviour = 0  # 1029h:01, on a communication error: pre-operational
         self._reset_pdos()
         device.firmware.silence_code = ERROR_HEARTBEAT
         device.firmware.on_emergency = self._emergency
+        device.firmware.on_silence = self._heartbeat_lost
 
     def _reset_pdos(self) -> None:
         n = self.node_id
@@ -188,6 +191,11 @@ class CanopenNode:
         data = struct.pack("<HB5x", code, self._error_register(code))
         self._send(0x080 + self.node_id, data)
 
+    def _heartbeat_lost(self) -> None:
+        """Error behaviour (CiA 301, 7.5.2.30)."""
+        if self.state == _OPERATIONAL:
+            self.state = _AFTER_AN_ERROR.get(self._error_behaviour, self.state)
+
     @staticmethod
     def _error_register(code: int) -> int:
         if code == 0:
@@ -231,9 +239,17 @@ class CanopenNode:
             value = struct.unpack("<" + entry.code, data[:length])[0]
             data = data[length:]
             try:
-                self._mirror.set(entry, value)
+                self._set(entry, value)
             except Denied:
                 self._emergency(0x8220)
+
+    def _value(self, entry: Entry) -> float:
+        """What an object says."""
+        return self._mirror.value(entry)
+
+    def _set(self, entry: Entry, value: float) -> None:
+        """Write an object; raises Denied."""
+        self._mirror.set(entry, value)
 
     def _sync(self) -> None:
         if self.state != _OPERATIONAL:
@@ -254,7 +270,7 @@ class CanopenNode:
     def _send_tpdo(self, pdo: _Pdo) -> None:
         pdo.since = self.device.firmware.now
         data = b"".join(
-            struct.pack("<" + entry.code, self._mirror.value(entry))
+            struct.pack("<" + entry.code, self._value(entry))
             for entry, _ in pdo.mapped(self._dictionary)
         )
         self._send(pdo.cob_id & 0x7FF, data)
@@ -364,7 +380,7 @@ class CanopenNode:
             if entry.access == "wo":
                 raise _Abort(_ABORT_WRITE_ONLY)
             try:
-                value = self._mirror.value(entry)
+                value = self._value(entry)
             except Denied as denied:
                 raise _Abort(_DENIALS[denied.reason]) from None
             return struct.pack("<" + entry.code, value)
@@ -389,6 +405,7 @@ class CanopenNode:
                 "<I", self._consumer_node << 16 | firmware.values["watchdog_time"]
             ),
             (0x1017, 0): struct.pack("<H", self._producer),
+            (0x1029, 1): bytes((self._error_behaviour,)),
             **{(0x1018, n + 1): struct.pack("<I", number) for n, number in enumerate(identity)},
         }
         found = plain.get((index, sub))
@@ -408,7 +425,7 @@ class CanopenNode:
                 raise _Abort(_ABORT_READ_ONLY)
             value = self._number(data, entry.code, sized=sized)
             try:
-                self._mirror.set(entry, value)
+                self._set(entry, value)
             except Denied as denied:
                 raise _Abort(_DENIALS[denied.reason]) from None
             return
@@ -426,6 +443,11 @@ class CanopenNode:
             self._to_device("watchdog_time", value & 0xFFFF)
             self._consumer_node = value >> 16 & 0x7F
             self.device.firmware.unwatch()
+        elif (index, sub) == (0x1029, 1):
+            value = self._number(data, "B", sized=sized)
+            if value > 2:
+                raise _Abort(_ABORT_RANGE)
+            self._error_behaviour = value
         elif (index, sub) == (0x1017, 0):
             self._producer = self._number(data, "H", sized=sized)
             self._produced = self.device.firmware.now

@@ -28,7 +28,7 @@ class Dictionary:
     @property
     def counts(self) -> dict[int, int]:
         """Highest sub-index of every record."""
-        found = {0x1010: 1, 0x1016: 1, 0x1018: 4}
+        found = {0x1010: 1, 0x1016: 1, 0x1018: 4, 0x1029: 1}
         for index, sub in self.objects:
             if sub:
                 found[index] = max(sub, found.get(index, 0))

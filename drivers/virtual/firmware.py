@@ -87,6 +87,8 @@ class Firmware:
     plant : Plant or CompliantPlant
     on_emergency : callable(error_code)
         Called when an error comes up (and with 0 when it is reset).
+    on_silence : callable()
+        Called when the master has fallen silent, whatever the drive makes of it.
     silence_code : int
         Error code for a master that falls silent.
     """
@@ -103,6 +105,7 @@ class Firmware:
         self.error_code = 0
         self.store_busy_until = 0
         self.on_emergency: Callable[[int], None] = lambda code: None
+        self.on_silence: Callable[[], None] = lambda: None
         self.silence_code = ERROR_COMMUNICATION
         self._objects = objects(axis)
         self.values = {key: item.default for key, item in self._objects.items()}
@@ -280,6 +283,8 @@ class Firmware:
     def communication_lost(self, code: int) -> None:
         """React to a silent master as the abort connection option code says (CiA 402, 6007h)."""
         self._watched = False
+        if code == self.silence_code:
+            self.on_silence()
         option = self.values["abort_connection_option"]
         if option == 0 or not self._energised or self.state is State.FAULT_REACTION_ACTIVE:
             return

@@ -16,6 +16,7 @@ from drivers.realtime import real_time
 from drivers.virtual.axes import VirtualAxis
 from drivers.virtual.device import Clock, Device
 from drivers.virtual.firmware import Firmware
+from drivers.virtual.habits import NONE, Habits
 from drivers.virtual.memory import Memory
 from profiles.errors import UsageError
 from profiles.plain import plain
@@ -43,6 +44,7 @@ class Endpoints:
     socketcand: tuple[str, int] | None = None
     slcan_pty: bool = False
     twin_of: Profile | None = None  # of another drive, on its own bus
+    habits: Habits = NONE
 
 
 def serve(
@@ -180,12 +182,12 @@ async def _canopen(
     stack: contextlib.AsyncExitStack, device: Device, endpoints: Endpoints
 ) -> tuple[Callable[[], None], list[str]]:
     from drivers.virtual.can_wires import CanBus, SlcanPty, SocketcandServer
-    from drivers.virtual.canopen_node import CanopenNode
     from drivers.virtual.dictionary import OWN
+    from drivers.virtual.habitual_node import HabitualNode
     from drivers.virtual.twin import twin
 
     dictionary = OWN if endpoints.twin_of is None else twin(endpoints.twin_of, device.firmware.axis)
-    bus = CanBus(CanopenNode(device, NODE, dictionary))
+    bus = CanBus(HabitualNode(device, NODE, dictionary, endpoints.habits))
     links: list[str] = []
     if endpoints.socketcand is not None:
         server = SocketcandServer(bus)

@@ -166,9 +166,23 @@ def test_the_answer_of_another_node_is_not_ours() -> None:
 
 
 @pytest.mark.parametrize(
+    "short", ["4B 41 60 00 37 02", "4B 41 60 00 37 02 00", "4B 41 60 00 37 02 00 00"]
+)
+def test_an_answer_may_be_as_short_as_its_value(short: str) -> None:
+    """CiA 301 has eight bytes in each; some servers send those that mean something."""
+    node, _ = wire(scripted([(0x585, short)]))
+    assert node.upload(0x6041, 0) == b"\x37\x02"
+
+
+def test_a_download_may_be_confirmed_by_four_bytes() -> None:
+    node, _ = wire(scripted([(0x585, "60 40 60 00")]))
+    node.download(0x6040, 0, b"\x06\x00")
+
+
+@pytest.mark.parametrize(
     "bad",
     [
-        [(0x585, "4B 41 60 00 37 02 00")],  # seven bytes
+        [(0x585, "4B 41 60 00 37")],  # one of two bytes
         [(0x585, "")],
         [],
     ],

@@ -1,0 +1,85 @@
+"""Habits of real drives that a served virtual one takes on when it is asked to.
+
+Each was seen on a drive, a stack or in a bug report that nobody here wrote. Without any the virtual drive
+keeps its standards to the letter.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from profiles.errors import UnknownName, UsageError
+
+__all__ = ["HABITS", "NONE", "Habit", "Habits", "habits_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class Habit:
+    """What a drive does; `default` is its value where none is given ('': it takes none)."""
+
+    text: str
+    default: str = ""
+
+
+HABITS: dict[str, Habit] = {
+    "lenient": Habit("stays operational when the heartbeat of its master is lost (1029h:01 = 1)"),
+    "short-sdo": Habit("SDO answers are as long as they need to be, not 8 bytes"),
+    "slow-reset": Habit("the fault bit goes so many s after the reset edge", "0.05"),
+    "slow-mode": Habit("6061h follows 6060h after so many s", "4"),
+    "slow-save": Habit("'save' is answered after so many s", "1.5"),
+    "lacks": Habit("has none of these objects: 6502h+6076h", "6502h"),
+}
+_OBJECT = re.compile(r"([0-9A-Fa-f]{4})h?")
+
+
+@dataclass(frozen=True, slots=True)
+class Habits:
+    """Habits by name, each with its value as text."""
+
+    values: dict[str, str]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.values
+
+    def seconds(self, name: str) -> float:
+        """Value of a habit, s; 0 where the drive does not have it."""
+        return float(self.values.get(name, "0"))
+
+    @property
+    def lacking(self) -> frozenset[int]:
+        """Indices of the objects that are not there."""
+        found = self.values.get("lacks", "")
+        return frozenset(int(_OBJECT.fullmatch(text)[1], 16) for text in found.split("+") if text)  # type: ignore[index]
+
+
+NONE = Habits({})
+
+
+def habits_of(texts: Iterable[str]) -> Habits:
+    """NAME or NAME=VALUE, several; raises UsageError, UnknownName."""
+    values: dict[str, str] = {}
+    for text in texts:
+        name, given, value = text.partition("=")
+        if name not in HABITS:
+            raise UnknownName("habit of a virtual drive", name, list(HABITS))
+        if name in values:
+            raise UsageError(f"--habit {text}: '{name}' is given twice")
+        default = HABITS[name].default
+        values[name] = value if given else default
+        if given and not default:
+            raise UsageError(f"--habit {text}: '{name}' takes no value")
+        if name == "lacks":
+            if not all(_OBJECT.fullmatch(part) for part in values[name].split("+")):
+                raise UsageError(f"--habit {text}: must be objects, as lacks=6502h+6076h")
+        elif default and not _is_time(values[name]):
+            raise UsageError(f"--habit {text}: must be a time from 0 to 60 s")
+    return Habits(values)
+
+
+def _is_time(text: str) -> bool:
+    try:
+        return 0 <= float(text) <= 60
+    except ValueError:
+        return False

@@ -1,0 +1,86 @@
+"""The virtual CANopen node with habits of real ones."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+from drivers.virtual.canopen_node import CanopenNode, Frame
+from drivers.virtual.device import Device
+from drivers.virtual.dictionary import OWN, Dictionary
+from drivers.virtual.firmware import SECOND
+from drivers.virtual.habits import NONE, Habits
+from drivers.virtual.mirror import Entry
+
+__all__ = ["HabitualNode"]
+
+_FAULT, _RESET = 0x0208, 0x80  # statusword: fault; controlword: its reset
+_SAVE = b"\x23\x10\x10"
+
+
+class HabitualNode(CanopenNode):
+    """What a node says, bent by its habits; what it does is the virtual drive's."""
+
+    def __init__(
+        self,
+        device: Device,
+        node_id: int,
+        dictionary: Dictionary = OWN,
+        habits: Habits = NONE,
+    ) -> None:
+        self._habits = habits
+        lacking = self._habits.lacking
+        objects = {at: entry for at, entry in dictionary.objects.items() if at[0] not in lacking}
+        super().__init__(
+            device,
+            node_id,
+            replace(dictionary, objects=objects, lacks=dictionary.lacks | lacking),
+        )
+        if "lenient" in self._habits:
+            self._error_behaviour = 1
+        self._fault_until = self._mode_until = 0  # ns
+        self._mode_before = 0
+        self._late: list[tuple[float, Frame]] = []  # s of the wall, and what is said then
+
+    @property
+    def _now(self) -> int:
+        return self.device.firmware.now
+
+    def _value(self, entry: Entry) -> float:
+        shown = super()._value(entry)
+        if "statusword" in entry.keys and self._now < self._fault_until:
+            return _FAULT
+        if "mode_display" in entry.keys and self._now < self._mode_until:
+            return self._mode_before
+        return shown
+
+    def _set(self, entry: Entry, value: float) -> None:
+        mode = self.device.firmware.read("mode_display")
+        super()._set(entry, value)
+        if "controlword" in entry.keys and int(value) & _RESET:
+            self._fault_until = self._now + round(self._habits.seconds("slow-reset") * SECOND)
+        if "mode" in entry.keys and value != mode:
+            self._mode_before = mode
+            self._mode_until = self._now + round(self._habits.seconds("slow-mode") * SECOND)
+
+    def _sdo(self, data: bytes) -> None:
+        before = len(self._outbox)
+        super()._sdo(data)
+        if data[:3] == _SAVE and "slow-save" in self._habits:
+            # of the wall: the time of a drive that steps stands still while its answer is awaited
+            at = time.monotonic() + self._habits.seconds("slow-save")
+            self._late += [(at, frame) for frame in self._outbox[before:]]
+            del self._outbox[before:]
+
+    def _answer(self, data: bytes) -> None:
+        if "short-sdo" in self._habits:
+            self._send(0x580 + self.node_id, data)
+        else:
+            super()._answer(data)
+
+    def _timers(self) -> None:
+        super()._timers()
+        now = time.monotonic()
+        due = [frame for at, frame in self._late if at <= now]
+        self._late = [(at, frame) for at, frame in self._late if at > now]
+        self._outbox += due

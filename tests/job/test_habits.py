@@ -1,0 +1,108 @@
+"""Habits of real drives: the job is done with the numbers of one without, or the way out is named."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from drivers.link import open_drive
+from profiles.axis import Axis
+from tests.conftest import Serve, Tworelay
+from tests.serving import WIRES
+
+QUICK = ("--travel", "20", "--cycle", "0.008", "--yes")
+SURVIVED = [
+    "",
+    "lenient",
+    "short-sdo",
+    "slow-reset",
+    "slow-mode",
+    "lacks=6502h",
+    "lacks=603Fh",
+    "slow-save",
+]
+
+
+def served(serve: Serve, *habits: str) -> str:
+    words = [word for habit in habits if habit for word in ("--habit", habit)]
+    return serve("bench", *WIRES["socketcand"], "--profile", "cia402", "--clock", "step", *words)[0]
+
+
+@pytest.mark.parametrize("habit", [*SURVIVED, "short-sdo slow-reset slow-mode lacks=6502h"])
+def test_a_drive_with_a_habit_is_identified_as_one_without(
+    serve: Serve, tworelay: Tworelay, habit: str
+) -> None:
+    link = served(serve, *habit.split(" "))
+    done = tworelay("identify", link, "--profile", "cia402", *QUICK, "--json", "-")
+    assert done.returncode == 0, done.stderr
+    friction = json.loads(done.stdout)["friction"]
+    assert friction["coulomb"]["value"] == pytest.approx(0.1, rel=0.02)
+    assert friction["inertia"]["value"] == pytest.approx(1e-3, rel=0.03)
+
+
+def test_a_node_that_goes_pre_operational_is_started_again_and_left_as_it_was(
+    serve: Serve, tworelay: Tworelay
+) -> None:
+    """1029h:01 = 0 is the default of CiA 301: the proof of the watchdog ends in pre-operational."""
+    link = serve("bench", *WIRES["socketcand"], "--clock", "step")[0]
+    drive = open_drive(Axis(link=link, profile="virtual-canopen"))
+    wire = drive._bus._wire  # type: ignore[attr-defined]
+    assert wire.upload(0x1029, 1) == b"\0"
+    drive.close()
+    assert tworelay("commission", link, *QUICK).returncode == 0
+
+
+def test_values_that_take_long_to_save_are_saved(serve: Serve, tworelay: Tworelay) -> None:
+    link = serve("bench", *WIRES["socketcand"], "--clock", "step", "--habit", "slow-save=1.5")[0]
+    done = tworelay("commission", link, *QUICK)
+    assert done.returncode == 0, done.stderr
+    assert "stored in the drive's non-volatile memory" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("habit", "key", "value"),
+    [("lacks=6076h", "rated_torque", 1.0), ("lacks=608Fh", "encoder", 131072.0)],
+)
+def test_what_a_drive_does_not_tell_is_asked_of_the_axis_file(
+    serve: Serve, tworelay: Tworelay, tmp_path: Path, habit: str, key: str, value: float
+) -> None:
+    link = served(serve, habit)
+    path = tmp_path / "press.toml"
+    path.write_text(f'link = "{link}"\nprofile = "cia402"\ntravel = 20.0\n')
+    refused = tworelay("identify", str(path), "--yes")
+    assert refused.returncode == 3
+    assert f"give {key} (" in refused.stderr
+    path.write_text(f"{path.read_text()}{key} = {value}\n")
+    done = tworelay("identify", str(path), "--cycle", "0.008", "--yes", "--json", "-")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.02)
+
+
+def test_a_mode_that_never_comes_names_the_key(serve: Serve, tworelay: Tworelay) -> None:
+    link = served(serve, "slow-mode=30")
+    done = tworelay("identify", link, "--profile", "cia402", *QUICK)
+    assert done.returncode == 3
+    assert "[patience] mode" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (("--habit", "polite"), "no habit of a virtual drive named 'polite'"),
+        (("--habit", "short-sdo=3"), "takes no value"), (("--habit", "lacks=x"), "must be objects"),
+        (("--habit", "slow-mode=x"), "a time from 0 to 60 s"),
+        (("--habit", "lacks=6502h", "--habit", "lacks"), "twice"),
+    ],
+)  # fmt: skip
+def test_a_habit_that_is_none(tworelay: Tworelay, words: tuple[str, ...], text: str) -> None:
+    done = tworelay("virtual", "serve", "bench", "--socketcand", "127.0.0.1:0", *words)
+    assert done.returncode == 2
+    assert text in done.stderr
+
+
+def test_habits_are_listed(tworelay: Tworelay) -> None:
+    listed = tworelay("virtual", "list", "--habits")
+    assert "slow-reset=0.05" in listed.stdout
+    assert "lacks" in json.loads(tworelay("virtual", "list", "--habits", "--json").stdout)

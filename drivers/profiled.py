@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import inf, isnan, nan
+from math import inf, nan
 from typing import TYPE_CHECKING, Never, TypeVar
 
+from drivers.bases import read_bases
 from drivers.drive import SET, Bus, Exchange, StopFrames, StopReport
 from drivers.patience import patiently
 from drivers.power import perform, power_of
@@ -29,7 +30,6 @@ from profiles.schema import (
     Profile,
     Protection,
     Trust,
-    Unit,
 )
 
 if TYPE_CHECKING:
@@ -43,10 +43,6 @@ _IDENTITY = {
     "product": "product_code", "revision": "revision_code", "serial": "serial_number",
 }  # fmt: skip
 _WRITTEN = (Protection.EXPERIMENT, Protection.COMPENSATION, Protection.GAIN)
-_COUNTED_IN_RATED = {
-    Unit.RATED_TORQUE, Unit.RATED_TORQUE_PER_SPEED, Unit.RATED_TORQUE_PER_SECOND, Unit.CURRENT,
-}  # fmt: skip
-_COUNTED_IN_INCREMENTS = {Unit.INCREMENT, Unit.INCREMENT_PER_SECOND}
 _POLL = 0.005  # s between two looks at a state
 _BUSY = 0.05  # s until a busy drive is asked again
 
@@ -71,7 +67,11 @@ class ProfiledDrive:
         self._power = power_of(bus, profile, self.status_text)
         self._rest_raw = 0
         self._energised = False
-        self.scaling = Scaling(1.0, 1.0, axis.mechanics) if to_stop else self._read_bases(axis)
+        self.scaling = (
+            Scaling(1.0, 1.0, axis.mechanics)
+            if to_stop
+            else read_bases(profile, axis, self._optional)
+        )
         revolution = inf if to_stop else self.scaling.increments_per_revolution
         self._stop_path = StopPath(bus, profile, self._power.is_energised, revolution)
         if not profile.moves:
@@ -82,76 +82,6 @@ class ProfiledDrive:
         self._at_torque = names.index("torque_actual") if "torque_actual" in names else None
         self._position_step = self._step("position_actual")
         self._torque_step = self._step("torque_actual") if self._at_torque is not None else nan
-
-    def _read_bases(self, axis: Axis) -> Scaling:
-        units = {parameter.unit for parameter in self.profile.parameters.values()}
-        rated, encoder = axis.rated_torque or nan, axis.encoder or nan
-        if isnan(rated) and units & _COUNTED_IN_RATED:
-            rated = self._rated_torque()
-        if isnan(encoder) and units & _COUNTED_IN_INCREMENTS:
-            encoder = self._encoder()
-        return Scaling(rated, encoder, axis.mechanics, self._torque_constant(axis, rated))
-
-    def _torque_constant(self, axis: Axis, rated: float) -> float:
-        """N.m/A, where a parameter is a current; raises PreflightRefused where it is not known."""
-        known = self.profile.parameters
-        if not any(p.unit is Unit.CURRENT for name, p in known.items() if name != "rated_current"):
-            return 0.0
-        if axis.torque_constant is not None:
-            return axis.torque_constant
-        base = known.get("rated_current")
-        current = self.read_raw("rated_current") * base.scale if base is not None else 0.0
-        if current <= 0:
-            raise PreflightRefused(
-                f"profile '{self.profile.name}' has parameters in A, and the motor's rated current is not "
-                "known; give torque_constant (N.m/A) in the axis file"
-            )
-        return rated / current
-
-    def _rated_torque(self) -> float:
-        """Of the motor, N.m; raises PreflightRefused where the drive does not tell it."""
-        base = self.profile.parameters.get("rated_torque")
-        if base is None:
-            raise PreflightRefused(
-                f"profile '{self.profile.name}' has no rated torque, so the torque scale is unknown; give "
-                "rated_torque (N.m of the motor) in the axis file"
-            )
-        told = self._optional("rated_torque")
-        if told is None:
-            raise PreflightRefused(
-                f"the drive does not tell its rated torque ({base.address}), so its torque scale is unknown; "
-                "give rated_torque (N.m of the motor) in the axis file"
-            )
-        rated = told * base.scale
-        if rated <= 0:
-            raise PreflightRefused(
-                f"the drive's rated torque ({base.address}) is {rated:g} N.m, so its torque scale is "
-                "unknown; set up the motor data in the drive, or give rated_torque in the axis file"
-            )
-        return rated
-
-    def _encoder(self) -> float:
-        """Increments per motor revolution; raises PreflightRefused where the drive does not tell them."""
-        known = self.profile.parameters
-        if "encoder_increments" not in known:
-            raise PreflightRefused(
-                f"profile '{self.profile.name}' has no encoder resolution, so the position scale is "
-                "unknown; give encoder (increments per motor revolution) in the axis file"
-            )
-        increments = self._optional("encoder_increments")
-        revolutions = self._optional("encoder_revolutions") or 1
-        if increments is None:
-            raise PreflightRefused(
-                f"the drive does not tell its encoder resolution ({known['encoder_increments'].address}), so "
-                "its position scale is unknown; give encoder (increments per motor revolution) in the axis "
-                "file"
-            )
-        if increments <= 0 or revolutions <= 0:
-            raise PreflightRefused(
-                f"the drive's encoder resolution is {increments}/{revolutions}: its position scale is "
-                "unknown; set up the encoder in the drive, or give encoder in the axis file"
-            )
-        return increments / revolutions
 
     # -- parameters ------------------------------------------------------------------------------
 

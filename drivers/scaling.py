@@ -11,7 +11,7 @@ from math import pi
 
 from profiles.axis import Mechanics
 from profiles.errors import WriteFailed
-from profiles.schema import Parameter, Unit
+from profiles.schema import Address, Parameter, Unit
 
 __all__ = ["Scaling"]
 
@@ -26,16 +26,19 @@ class Scaling:
     increments_per_revolution : of the motor
     mechanics : gear and feed
     torque_constant : N.m/A; 0 where no parameter is a current
+    turned : addresses of what the drive counts against its motor
     """
 
     rated_torque: float
     increments_per_revolution: float
     mechanics: Mechanics
     torque_constant: float = 0.0
+    turned: frozenset[Address] = frozenset()
 
     def step(self, parameter: Parameter) -> float:
-        """Value of one raw step in SI at the axis."""
-        return parameter.scale * self.step_of(parameter.unit)
+        """Value of one raw step in SI at the axis; negative where the drive counts against its motor."""
+        step = parameter.scale * self.step_of(parameter.unit)
+        return -step if parameter.address in self.turned else step
 
     def to_si(self, parameter: Parameter, raw: float) -> float:
         """SI value of `raw`."""

@@ -88,7 +88,7 @@ class Measurement:
         parameters = drive.profile.parameters
         self.context = Context(
             cycle=drive.cycle,
-            resolution=drive.scaling.step(parameters["position_actual"]),
+            resolution=abs(drive.scaling.step(parameters["position_actual"])),
             start=limits.start,
             travel=limits.travel,
             torque=limits.torque,

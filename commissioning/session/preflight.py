@@ -105,7 +105,7 @@ def still_moving(drive: Drive, patience: float = _PATIENCE) -> float:
 
     `patience` : s until it has to be
     """
-    step = drive.scaling.step(drive.profile.parameters["position_actual"])
+    step = abs(drive.scaling.step(drive.profile.parameters["position_actual"]))
     for _ in range(ceil(patience / _LOOK)):
         before = drive.read("position_actual")
         drive.wait(_LOOK)
@@ -123,7 +123,7 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
             f"how far may the axis move? Give --travel ±X in {axis.position_unit} about the "
             "present position, or an axis file with travel"
         )
-    count = drive.scaling.step(drive.profile.parameters["position_actual"])
+    count = abs(drive.scaling.step(drive.profile.parameters["position_actual"]))
     if travel < _FEWEST_COUNTS * count:
         raise PreflightRefused(
             f"the travel of ±{travel:.4g} {axis.position_unit} is too small: it is "

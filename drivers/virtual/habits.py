@@ -29,8 +29,14 @@ HABITS: dict[str, Habit] = {
     "slow-reset": Habit("the fault bit goes so many s after the reset edge", "0.05"),
     "slow-mode": Habit("6061h follows 6060h after so many s", "4"),
     "slow-save": Habit("'save' is answered after so many s", "1.5"),
+    "feed": Habit("counts so many position units a revolution, and says so by 6092h", "65536"),
+    "gear": Habit("counts so behind a gear 10:1, and says so by 6091h and 6092h", "65536"),
+    "old-factor": Habit("counts so, and says so by 6093h, the position factor of old", "65536"),
+    "delivered": Habit("has 6091h, 6092h as delivered, 1/1, whatever it counts in"),
+    "polarity": Habit("counts position and velocity the other way round, and says so by 607Eh"),
     "lacks": Habit("has none of these objects: 6502h+6076h", "6502h"),
 }
+_UNITS = {"feed", "gear", "old-factor"}
 _OBJECT = re.compile(r"([0-9A-Fa-f]{4})h?")
 
 
@@ -46,6 +52,11 @@ class Habits:
     def seconds(self, name: str) -> float:
         """Value of a habit, s; 0 where the drive does not have it."""
         return float(self.values.get(name, "0"))
+
+    @property
+    def units(self) -> int:
+        """Position units a motor revolution; 0: its encoder's increments."""
+        return next((int(self.values[name]) for name in self.values if name in _UNITS), 0)
 
     @property
     def lacking(self) -> frozenset[int]:
@@ -73,8 +84,13 @@ def habits_of(texts: Iterable[str]) -> Habits:
         if name == "lacks":
             if not all(_OBJECT.fullmatch(part) for part in values[name].split("+")):
                 raise UsageError(f"--habit {text}: must be objects, as lacks=6502h+6076h")
+        elif name in _UNITS:
+            if not re.fullmatch(r"[1-9][0-9]{1,8}", values[name]):
+                raise UsageError(f"--habit {text}: must be position units a revolution, from 10 on")
         elif default and not _is_time(values[name]):
             raise UsageError(f"--habit {text}: must be a time from 0 to 60 s")
+    if len(_UNITS & values.keys()) > 1:
+        raise UsageError("--habit: feed, gear and old-factor exclude each other")
     return Habits(values)
 
 

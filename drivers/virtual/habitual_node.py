@@ -15,6 +15,8 @@ from drivers.virtual.mirror import Entry
 __all__ = ["HabitualNode"]
 
 _FAULT, _RESET = 0x0208, 0x80  # statusword: fault; controlword: its reset
+_POSITIONS = {"position_actual", "position_target", "velocity_actual", "velocity_target"}
+_TURNED = 0xC0  # polarity: position and velocity
 _SAVE = b"\x23\x10\x10"
 
 
@@ -30,12 +32,17 @@ class HabitualNode(CanopenNode):
     ) -> None:
         self._habits = habits
         lacking = self._habits.lacking
-        objects = {at: entry for at, entry in dictionary.objects.items() if at[0] not in lacking}
+        objects = _factors(self._habits, device) | dictionary.objects
+        objects = {at: entry for at, entry in objects.items() if at[0] not in lacking}
         super().__init__(
             device,
             node_id,
             replace(dictionary, objects=objects, lacks=dictionary.lacks | lacking),
         )
+        increments = device.firmware.read("encoder_increments")
+        self._units = (habits.units or increments) / increments  # a count
+        if "polarity" in habits:
+            self._units = -self._units
         if "lenient" in self._habits:
             self._error_behaviour = 1
         self._fault_until = self._mode_until = 0  # ns
@@ -48,6 +55,8 @@ class HabitualNode(CanopenNode):
 
     def _value(self, entry: Entry) -> float:
         shown = super()._value(entry)
+        if _POSITIONS & set(entry.keys):
+            return round(shown * self._units)
         if "statusword" in entry.keys and self._now < self._fault_until:
             return _FAULT
         if "mode_display" in entry.keys and self._now < self._mode_until:
@@ -56,6 +65,8 @@ class HabitualNode(CanopenNode):
 
     def _set(self, entry: Entry, value: float) -> None:
         mode = self.device.firmware.read("mode_display")
+        if _POSITIONS & set(entry.keys):
+            value = round(value / self._units)
         super()._set(entry, value)
         if "controlword" in entry.keys and int(value) & _RESET:
             self._fault_until = self._now + round(self._habits.seconds("slow-reset") * SECOND)
@@ -84,3 +95,22 @@ class HabitualNode(CanopenNode):
         due = [frame for at, frame in self._late if at <= now]
         self._late = [(at, frame) for at, frame in self._late if at > now]
         self._outbox += due
+
+
+def _factors(habits: Habits, device: Device) -> dict[tuple[int, int], Entry]:
+    """Objects of CiA 402's factor group that say in which units it counts."""
+    found: dict[tuple[int, int], int] = {}
+    units = habits.units
+    if "feed" in habits:
+        found = {(0x6092, 1): units, (0x6092, 2): 1}
+    elif "gear" in habits:
+        found = {(0x6091, 1): 10, (0x6091, 2): 1, (0x6092, 1): 10 * units, (0x6092, 2): 1}
+    elif "old-factor" in habits:
+        increments = device.firmware.read("encoder_increments")
+        found = {(0x6093, 1): increments, (0x6093, 2): units}
+    if "delivered" in habits:
+        found |= {(index, sub): 1 for index in (0x6091, 0x6092) for sub in (1, 2)}
+    objects = {at: Entry((), "I", default=value, name=f"{at}") for at, value in found.items()}
+    if "polarity" in habits:
+        objects[0x607E, 0] = Entry((), "B", default=_TURNED, name="polarity")
+    return objects

@@ -42,6 +42,57 @@ def test_a_drive_with_a_habit_is_identified_as_one_without(
     assert friction["inertia"]["value"] == pytest.approx(1e-3, rel=0.03)
 
 
+@pytest.mark.parametrize(
+    "habit",
+    ["feed", "feed=10000", "feed=1000000", "gear", "old-factor", "polarity", "polarity gear=20000",
+     "feed slow-reset short-sdo"],
+)  # fmt: skip
+def test_in_whatever_a_drive_counts_the_axis_is_the_same(
+    serve: Serve, tworelay: Tworelay, habit: str
+) -> None:
+    """608Fh is the encoder; what a position unit is, 6091h, 6092h and 6093h say, and 607Eh which way."""
+    link = served(serve, *habit.split(" "))
+    done = tworelay("identify", link, "--profile", "cia402", *QUICK, "--points", "--json", "-")
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    friction, coarse = result["friction"], "10000" in habit.split("=")
+    assert friction["coulomb"]["value"] == pytest.approx(0.1, rel=0.05 if coarse else 0.02)
+    assert friction["inertia"]["value"] == pytest.approx(1e-3, rel=0.05 if coarse else 0.02)
+    assert friction["viscous"]["value"] == pytest.approx(2e-3, rel=0.1)
+    assert result["experiment"]["limits"]["travel"] == 20.0
+    assert result["experiment"]["first_look"]["inertia"] == pytest.approx(1e-3, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("habit", "words"),
+    [
+        (
+            "delivered",
+            "by 6092h and 6091h a motor revolution has 1 position units, by 608Fh 131072",
+        ),
+        (
+            "old-factor delivered",
+            "608Fh and 6093h make 65536 position units a motor revolution, 6092h",
+        ),
+    ],
+)
+def test_a_position_scale_that_nobody_can_know_is_refused_and_the_axis_file_outranks_it(
+    serve: Serve, tworelay: Tworelay, tmp_path: Path, habit: str, words: str
+) -> None:
+    link = served(serve, *habit.split(" "))
+    path = tmp_path / "press.toml"
+    path.write_text(f'link = "{link}"\nprofile = "cia402"\ntravel = 20.0\n')
+    refused = tworelay("identify", str(path), "--yes")
+    assert refused.returncode == 3
+    assert words in refused.stderr
+    assert "encoder" in refused.stderr
+    units = 65536.0 if "old" in habit else 131072.0
+    path.write_text(f"{path.read_text()}encoder = {units}\n")
+    done = tworelay("identify", str(path), "--cycle", "0.008", "--yes", "--json", "-")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["friction"]["inertia"]["value"] == pytest.approx(1e-3, rel=0.02)
+
+
 def test_a_node_that_goes_pre_operational_is_started_again_and_left_as_it_was(
     serve: Serve, tworelay: Tworelay
 ) -> None:

@@ -7,6 +7,7 @@ from math import inf, nan
 from typing import TYPE_CHECKING, Never, TypeVar
 
 from drivers.bases import read_bases
+from drivers.counter import Counter
 from drivers.drive import SET, Bus, Exchange, StopFrames, StopReport
 from drivers.patience import patiently
 from drivers.power import perform, power_of
@@ -81,7 +82,19 @@ class ProfiledDrive:
         self._at_position = names.index("position_actual")
         self._at_torque = names.index("torque_actual") if "torque_actual" in names else None
         self._position_step = self._step("position_actual")
+        self._counter = self._position_counter(to_stop=to_stop)
         self._torque_step = self._step("torque_actual") if self._at_torque is not None else nan
+
+    def _position_counter(self, *, to_stop: bool) -> Counter:
+        """It wraps within its position range limit (607Bh), where it has one, else at its type's width."""
+        low, high = self._parameter("position_actual").address.raw_range
+        if not to_stop:
+            least, most = (
+                self._optional(name) for name in ("position_range_min", "position_range_max")
+            )
+            if least is not None and most is not None and low <= least < most <= high:
+                low, high = least, most
+        return Counter(low, high)
 
     # -- parameters ------------------------------------------------------------------------------
 
@@ -97,7 +110,10 @@ class ProfiledDrive:
 
     def read(self, name: str) -> float:
         """Value of a parameter, SI at the axis."""
-        return self.scaling.to_si(self._parameter(name), self.read_raw(name))
+        raw = self.read_raw(name)
+        if name == "position_actual" and self.profile.moves:
+            raw = self._counter.follow(raw)
+        return self.scaling.to_si(self._parameter(name), raw)
 
     def read_raw(self, name: str) -> int:
         """Raw value of a parameter; raises LinkError, AccessDenied."""
@@ -427,7 +443,8 @@ class ProfiledDrive:
 
     def exchange(self, set_point: float) -> Sample:
         """Put `set_point` (SI) in force and return the first sample latched after that."""
-        raw = round(set_point / self._set_point_step)
+        offset = self._counter.offset if self._mode is Mode.POSITION else 0
+        raw = round(set_point / self._set_point_step) - offset
         if not self._lowest <= raw <= self._highest:
             self._refuse_set_point(self._set_point_name, raw)
         values, in_force, sent, time, lateness, missed = self._bus.exchange(self._frame(raw))
@@ -436,9 +453,9 @@ class ProfiledDrive:
             Sample,
             (
                 time,
-                values[self._at_position] * self._position_step,
+                self._counter.follow(values[self._at_position]) * self._position_step,
                 nan if at_torque is None else values[at_torque] * self._torque_step,
-                in_force[self._at_set_point] * self._set_point_step,
+                (in_force[self._at_set_point] + offset) * self._set_point_step,
                 sent,
                 self._power.status(values),
                 lateness,

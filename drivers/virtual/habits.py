@@ -33,9 +33,14 @@ HABITS: dict[str, Habit] = {
     "gear": Habit("counts so behind a gear 10:1, and says so by 6091h and 6092h", "65536"),
     "old-factor": Habit("counts so, and says so by 6093h, the position factor of old", "65536"),
     "delivered": Habit("has 6091h, 6092h as delivered, 1/1, whatever it counts in"),
+    "wrap": Habit(
+        "its position counter stands so many counts below its end, where it wraps", "648"
+    ),
+    "modulo": Habit("its position wraps at each of so many counts, and says so by 607Bh", "131072"),
     "polarity": Habit("counts position and velocity the other way round, and says so by 607Eh"),
     "lacks": Habit("has none of these objects: 6502h+6076h", "6502h"),
 }
+_COUNTS = {"wrap", "modulo"}
 _UNITS = {"feed", "gear", "old-factor"}
 _OBJECT = re.compile(r"([0-9A-Fa-f]{4})h?")
 
@@ -52,6 +57,10 @@ class Habits:
     def seconds(self, name: str) -> float:
         """Value of a habit, s; 0 where the drive does not have it."""
         return float(self.values.get(name, "0"))
+
+    def counts(self, name: str) -> int:
+        """Value of a habit, counts; 0 where the drive does not have it."""
+        return int(self.values.get(name, "0"))
 
     @property
     def units(self) -> int:
@@ -84,9 +93,9 @@ def habits_of(texts: Iterable[str]) -> Habits:
         if name == "lacks":
             if not all(_OBJECT.fullmatch(part) for part in values[name].split("+")):
                 raise UsageError(f"--habit {text}: must be objects, as lacks=6502h+6076h")
-        elif name in _UNITS:
+        elif name in _UNITS or name in _COUNTS:
             if not re.fullmatch(r"[1-9][0-9]{1,8}", values[name]):
-                raise UsageError(f"--habit {text}: must be position units a revolution, from 10 on")
+                raise UsageError(f"--habit {text}: must be a whole number of counts, from 10 on")
         elif default and not _is_time(values[name]):
             raise UsageError(f"--habit {text}: must be a time from 0 to 60 s")
     if len(_UNITS & values.keys()) > 1:

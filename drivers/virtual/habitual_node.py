@@ -43,6 +43,10 @@ class HabitualNode(CanopenNode):
         self._units = (habits.units or increments) / increments  # a count
         if "polarity" in habits:
             self._units = -self._units
+        self._range = -(1 << 31), 1 << 32  # least, and how many
+        if "modulo" in habits:
+            self._range = 0, habits.counts("modulo")
+        self._began = (1 << 31) - habits.counts("wrap") if "wrap" in habits else 0
         if "lenient" in self._habits:
             self._error_behaviour = 1
         self._fault_until = self._mode_until = 0  # ns
@@ -56,7 +60,7 @@ class HabitualNode(CanopenNode):
     def _value(self, entry: Entry) -> float:
         shown = super()._value(entry)
         if _POSITIONS & set(entry.keys):
-            return round(shown * self._units)
+            return self._counted(round(shown * self._units), entry)
         if "statusword" in entry.keys and self._now < self._fault_until:
             return _FAULT
         if "mode_display" in entry.keys and self._now < self._mode_until:
@@ -66,13 +70,29 @@ class HabitualNode(CanopenNode):
     def _set(self, entry: Entry, value: float) -> None:
         mode = self.device.firmware.read("mode_display")
         if _POSITIONS & set(entry.keys):
-            value = round(value / self._units)
+            value = round(self._meant(int(value), entry) / self._units)
         super()._set(entry, value)
         if "controlword" in entry.keys and int(value) & _RESET:
             self._fault_until = self._now + round(self._habits.seconds("slow-reset") * SECOND)
         if "mode" in entry.keys and value != mode:
             self._mode_before = mode
             self._mode_until = self._now + round(self._habits.seconds("slow-mode") * SECOND)
+
+    def _counted(self, count: int, entry: Entry) -> int:
+        """A position as its counter shows it, from where it stood."""
+        if "velocity_actual" in entry.keys or "velocity_target" in entry.keys:
+            return count
+        low, width = self._range
+        return (count + self._began - low) % width + low
+
+    def _meant(self, shown: int, entry: Entry) -> int:
+        """The position nearest to the axis' own that a counter shows as `shown`."""
+        if "position_target" not in entry.keys:
+            return shown
+        here = round(self.device.firmware.read("position_actual") * self._units)
+        width = self._range[1]
+        turned = (shown - self._began - here + width // 2) % width - width // 2
+        return here + turned
 
     def _sdo(self, data: bytes) -> None:
         before = len(self._outbox)
@@ -110,6 +130,8 @@ def _factors(habits: Habits, device: Device) -> dict[tuple[int, int], Entry]:
         found = {(0x6093, 1): increments, (0x6093, 2): units}
     if "delivered" in habits:
         found |= {(index, sub): 1 for index in (0x6091, 0x6092) for sub in (1, 2)}
+    if "modulo" in habits:
+        found |= {(0x607B, 1): 0, (0x607B, 2): habits.counts("modulo") - 1}
     objects = {at: Entry((), "I", default=value, name=f"{at}") for at, value in found.items()}
     if "polarity" in habits:
         objects[0x607E, 0] = Entry((), "B", default=_TURNED, name="polarity")

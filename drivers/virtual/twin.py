@@ -51,7 +51,7 @@ _FIRMWARE: dict[str, tuple[Unit, float]] = {
 }  # fmt: skip
 # a profile's own name for it, where it is another one
 _NAMES = {"mode_of_operation": "mode", "serial_number": "serial"}
-_FACTORS = {0x607E, 0x6091, 0x6092, 0x6093}  # CiA 402's, which only a habit makes
+_FACTORS = {0x607B, 0x607E, 0x6091, 0x6092, 0x6093}  # CiA 402's, which only a habit makes
 _ELSEWHERE = {0x1010, 0x1016, 0x1018}  # communication objects, which the node itself has
 _CLOCK = {
     CLOCK: Entry(("simulation_cycle",), "I"),

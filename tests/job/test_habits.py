@@ -93,6 +93,36 @@ def test_a_position_scale_that_nobody_can_know_is_refused_and_the_axis_file_outr
     assert json.loads(done.stdout)["friction"]["inertia"]["value"] == pytest.approx(1e-3, rel=0.02)
 
 
+@pytest.mark.parametrize(
+    "habit", ["wrap", "wrap=10", "modulo", "modulo=1000000", "polarity wrap", "feed wrap"]
+)
+def test_a_counter_that_wraps_is_followed(serve: Serve, tworelay: Tworelay, habit: str) -> None:
+    link = served(serve, *habit.split(" "))
+    done = tworelay("identify", link, "--profile", "cia402", *QUICK, "--json", "-")
+    assert done.returncode == 0, done.stderr
+    friction = json.loads(done.stdout)["friction"]
+    assert friction["coulomb"]["value"] == pytest.approx(0.1, rel=0.02)
+    assert friction["inertia"]["value"] == pytest.approx(1e-3, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "habit", ["wrap", "modulo=1000000", "polarity", "feed", "gear=20000 polarity"]
+)
+def test_the_proof_goes_where_it_is_told_in_whatever_the_drive_counts(
+    serve: Serve, tworelay: Tworelay, habit: str
+) -> None:
+    """In position mode: done, or a target beyond the counter's end is refused by name, and all put back."""
+    words = [word for one in habit.split(" ") for word in ("--habit", one)]
+    link = serve("bench", *WIRES["socketcand"], "--clock", "step", *words)[0]
+    done = tworelay("commission", link, *QUICK)
+    if habit in ("wrap", "modulo=1000000"):
+        assert done.returncode in (0, 3), done.stderr
+        assert done.returncode == 0 or "'position_target' (607Ah:00)" in done.stderr
+    else:
+        assert done.returncode == 0, done.stderr
+        assert "less error after reversals" in done.stdout
+
+
 def test_a_node_that_goes_pre_operational_is_started_again_and_left_as_it_was(
     serve: Serve, tworelay: Tworelay
 ) -> None:

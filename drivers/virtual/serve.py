@@ -182,12 +182,18 @@ async def _canopen(
     stack: contextlib.AsyncExitStack, device: Device, endpoints: Endpoints
 ) -> tuple[Callable[[], None], list[str]]:
     from drivers.virtual.can_wires import CanBus, SlcanPty, SocketcandServer
+    from drivers.virtual.canopen_node import CanopenNode
     from drivers.virtual.dictionary import OWN
     from drivers.virtual.habitual_node import HabitualNode
     from drivers.virtual.twin import twin
 
     dictionary = OWN if endpoints.twin_of is None else twin(endpoints.twin_of, device.firmware.axis)
-    bus = CanBus(HabitualNode(device, NODE, dictionary, endpoints.habits))
+    habits = endpoints.habits
+    bus = CanBus(
+        HabitualNode(device, NODE, dictionary, habits)
+        if habits.values
+        else CanopenNode(device, NODE, dictionary)
+    )
     links: list[str] = []
     if endpoints.socketcand is not None:
         server = SocketcandServer(bus)

@@ -62,6 +62,8 @@ class Drive(Protocol):
     cycle: float
     in_real_time: bool  # its cycle is the clock's, and not counted
 
+    lacking: tuple[str, ...]  # what it does not have of its profile, in words
+
     def identity(self) -> Identity:
         """Who the drive says it is."""
 

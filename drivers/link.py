@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drivers.drive import Bus
 from drivers.home import home
 from drivers.link_text import Link, host_and_port, is_simulated, parse
+from drivers.optional import as_it_is
 from drivers.pace import Pace, StepPace, WallPace
 from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis, AxisLimits, Mechanics
@@ -93,7 +95,11 @@ def open_drive(
     if named is not None and to_stop:  # nothing is waited for
         impatient = named.link.model_copy(update={"patience": 0.0})
         named = named.model_copy(update={"link": impatient})
-    opener = {"virtual": _open_virtual, "canopen": _open_canopen}.get(link.scheme, _open_modbus)
+    openers: dict[str, Callable[..., tuple[Bus, Profile]]] = {
+        "virtual": _open_virtual,
+        "canopen": partial(_open_canopen, to_stop=to_stop),
+    }
+    opener = openers.get(link.scheme, _open_modbus)
     bus, profile = opener(link, axis, named, cycle or axis.cycle, trace)
     try:
         return ProfiledDrive(bus, profile, axis, link.text, to_stop=to_stop)
@@ -237,7 +243,13 @@ def modbus_wire(link: Link, profile: Profile | None) -> Wire:
 
 
 def _open_canopen(
-    link: Link, axis: Axis, profile: Profile | None, cycle: float | None, trace: Trace | None
+    link: Link,
+    axis: Axis,
+    profile: Profile | None,
+    cycle: float | None,
+    trace: Trace | None,
+    *,
+    to_stop: bool,
 ) -> tuple[Bus, Profile]:
     node = link.integer("node", 1, 127) or (profile.link.node if profile else None)
     if node is None:
@@ -253,7 +265,12 @@ def _open_canopen(
     wire = CanWire(open_can(link, profile), node, timeout, trace, awaits_sync=awaits_sync)
     try:
         chosen = _armed_with(_agree(identify(wire), "canopen", profile), axis)
-        return CanopenBus(wire, chosen, _pace(link, cycle or chosen.link.cycle)), chosen
+        lacking: tuple[str, ...] = ()
+        if not to_stop:  # which asks nothing before it stops
+            chosen, lacking = as_it_is(chosen, lambda at: wire.has(at.index, at.sub))  # type: ignore[union-attr]
+        bus = CanopenBus(wire, chosen, _pace(link, cycle or chosen.link.cycle))
+        bus.lacking = lacking
+        return bus, chosen
     except BaseException:
         wire.close()
         raise

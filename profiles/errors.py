@@ -137,13 +137,14 @@ class WriteFailed(TwoRelayError):
 
 
 class AccessDenied(TwoRelayError):
-    """The drive answers, and refuses an access; `busy`: for now only, as it says."""
+    """The drive answers, and refuses an access: `busy` for now only, `missing` what it does not have."""
 
     exit_code = 4
 
-    def __init__(self, message: str, *, busy: bool = False) -> None:
+    def __init__(self, message: str, *, busy: bool = False, missing: bool = False) -> None:
         super().__init__(message)
         self.busy = busy
+        self.missing = missing
 
 
 class WriteDenied(AccessDenied, WriteFailed):

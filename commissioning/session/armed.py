@@ -57,6 +57,8 @@ def _run(
     identity = drive.identity()
     result |= blank(axis, drive.link, drive.profile, identity)
     desk.tell(f"drive: {identity}; profile {drive.profile.name} {drive.profile.version}")
+    for line in drive.lacking:
+        desk.tell(line)
     none_unfinished(desk, identity.serial)
     look(drive, axis)
     check_watchdog(drive, without=options.without_watchdog)

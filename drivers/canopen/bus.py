@@ -79,6 +79,7 @@ class CanopenBus:
     def __init__(self, wire: CanWire, profile: Profile, pace: Pace) -> None:
         self.cycle = pace.cycle
         self.in_real_time = not pace.stepping
+        self.lacking: tuple[str, ...] = ()  # what the node does not have of its profile, in words
         self._wire = wire
         self._profile = profile
         self._pace = pace

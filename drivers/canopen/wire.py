@@ -39,6 +39,7 @@ NMT = 0x000
 BOOT_UP = 0x00  # as a heartbeat's state (CiA 301, 7.2.8.3.3)
 _WITH_MULTIPLEXER = (2, 3, 4)  # SDO server: upload and download begin, abort (CiA 301, 7.2.4.3)
 # SDO abort codes for what may go a little later: of the application, local control, the device's state
+_MISSING = 0x06020000, 0x06090011  # object, sub-index
 _BUSY = 0x08000020, 0x08000021, 0x08000022
 _NO_OBJECT = b"\0\0\0"  # some drives abort so
 _SEGMENT, _LARGEST_OBJECT = 7, 5_000_000  # bytes; the largest object is an EDS (1021h)
@@ -397,6 +398,14 @@ class CanWire:
         ):
             return self._whole(stream)
 
+    def has(self, index: int, sub: int) -> bool:
+        """Whether the node has an object; raises NoAnswer."""
+        try:
+            self.upload(index, sub)
+        except AccessDenied as error:
+            return not error.missing
+        return True
+
     def upload_large(self, index: int, sub: int) -> bytes:
         """Read an object of many bytes, by block transfer where the node knows it; raises as `upload`."""
         try:
@@ -455,6 +464,7 @@ class CanWire:
             raise denied(
                 f"{index:04X}h:{sub:02X}: node {self.node} refuses it: {text} ({error.code:08X}h)",
                 busy=error.code in _BUSY,
+                missing=error.code in _MISSING,
             ) from None
         except SdoCommunicationError as error:
             raise NoAnswer(

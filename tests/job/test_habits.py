@@ -143,6 +143,36 @@ def test_values_that_take_long_to_save_are_saved(serve: Serve, tworelay: Tworela
 
 
 @pytest.mark.parametrize(
+    ("habit", "words"),
+    [
+        ("lacks=6080h", "no speed limit (6080h:00)"), ("lacks=6072h", "no torque limit (6072h:00)"),
+        ("lacks=6077h", "does not tell its torque"), ("lacks=6007h", "when the link is dead cannot be set"),
+        ("lacks=1018h", ""), ("lacks=6087h+605Ah", ""),
+        ("lacks=6080h+6072h+6077h+6502h+1018h", "no torque limit"),
+    ],
+)  # fmt: skip
+def test_what_is_optional_may_be_missing_and_is_said(
+    serve: Serve, tworelay: Tworelay, habit: str, words: str
+) -> None:
+    link = served(serve, habit)
+    done = tworelay("identify", link, "--profile", "cia402", *QUICK, "--max-speed", "100")
+    assert done.returncode == 0, done.stderr
+    assert words in done.stdout
+    assert tworelay("stop", link, "--profile", "cia402").returncode == 0
+
+
+def test_a_drive_without_a_heartbeat_consumer_is_moved_only_by_who_says_so(
+    serve: Serve, tworelay: Tworelay
+) -> None:
+    link = served(serve, "lacks=1016h")
+    refused = tworelay("identify", link, "--profile", "cia402", *QUICK)
+    assert refused.returncode == 3
+    assert "--without-watchdog" in refused.stderr
+    done = tworelay("identify", link, "--profile", "cia402", *QUICK, "--without-watchdog")
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
     ("habit", "key", "value"),
     [("lacks=6076h", "rated_torque", 1.0), ("lacks=608Fh", "encoder", 131072.0)],
 )

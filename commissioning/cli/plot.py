@@ -48,6 +48,7 @@ def loci(run: str, amplitude: float | None, hysteresis: float | None, output: st
 
     from commissioning.journal import Journal
     from commissioning.report.figures import loci as draw
+    from commissioning.report.quiet import quiet
     from commissioning.runs import resolve
     from drivers.home import home
 
@@ -61,7 +62,7 @@ def loci(run: str, amplitude: float | None, hysteresis: float | None, output: st
     if target.suffix not in _FORMATS:
         raise UsageError(f"--output {target}: must end with {', '.join(_FORMATS)}")
     try:
-        with np.errstate(divide="raise", invalid="raise"):
+        with np.errstate(divide="raise", invalid="raise", over="raise"), quiet():
             picture = io.BytesIO()
             kind = target.suffix.lower()[1:]
             draw(plain_tree(result), amplitude, hysteresis).savefig(picture, format=kind, dpi=150)

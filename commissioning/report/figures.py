@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -392,10 +391,6 @@ def _velocity(samples: Samples, cut: Sequence[int] | NDArray[np.intp]) -> NDArra
 
 def _svg(figure: Figure) -> str:
     stream = io.StringIO()
-    with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", UserWarning
-        )  # a name in letters that the font does not have
-        figure.savefig(stream, format="svg", metadata={"Date": None})
+    figure.savefig(stream, format="svg", metadata={"Date": None})
     text = stream.getvalue()
     return text[text.index("<svg") :]

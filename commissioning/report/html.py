@@ -6,6 +6,7 @@ import time
 from importlib.resources import files
 from typing import Any
 
+from commissioning.report.quiet import quiet
 from commissioning.report.words import GAINS, duration, host_law
 from commissioning.runs import Samples
 from profiles.errors import UsageError
@@ -26,7 +27,7 @@ def render(result: dict[str, Any], samples: Samples | None, journal: dict[str, A
     if samples is not None:
         samples = Samples(samples.columns, [(at, plain(text)) for at, text in samples.phases])
     try:
-        with np.errstate(divide="raise", invalid="raise"):
+        with np.errstate(divide="raise", invalid="raise", over="raise"), quiet():
             return _render(result, samples, journal)
     except (jinja2.UndefinedError, LookupError, TypeError, ValueError, ArithmeticError) as error:
         raise UsageError(

@@ -194,7 +194,7 @@ _step = _record(
     {"overshoot": _number, "settling": _maybe, "error": _number, "hunting": _number},
     {"size": _number, "time": _each(_number), "position": _each(_number)},
 )
-_gains = _record(
+_gain_set = _record(
     {
         "rule": _text, "loop": _one_of("host", "drive"), "source": _one_of("naive", "corrected"),
         "gains": _or_none(_table(_maybe)), "phase_margin_deg": _maybe, "gain_margin_db": _maybe,
@@ -207,6 +207,19 @@ _gains = _record(
         "written": _flag,
     },
 )  # fmt: skip
+
+
+def _gains(value: Any, where: str) -> None:
+    """Gains of one rule: with what they are worth where there are any, else not proposed."""
+    _gain_set(value, where)
+    if value["gains"] is None:
+        if value["proposed"] or value["best"]:
+            _fail(f"{where}.gains", "there where they are proposed")
+        return
+    _number(value["ms"], f"{where}.ms")
+    _flag(value["stable"], f"{where}.stable")
+
+
 _cycle = _record(
     {
         "name": _text, "relay_amplitude": _maybe, "hysteresis": _maybe, "bias": _maybe,

@@ -265,7 +265,8 @@ class CanopenBus:
             except AccessDenied as error:
                 failures.append(str(error))
         command = _COMMANDS.get(self._state_before)
-        if command is not None and self._wire.nmt_commanded != command:
+        left = self._heartbeat is not None  # a node that hears none leaves 'operational' by itself
+        if command is not None and (left or self._wire.nmt_commanded != command):
             self._wire.nmt(command)
         if failures:
             raise WriteFailed("; ".join(failures))

@@ -14,6 +14,7 @@ from drivers.virtual.block_upload import BlockUpload
 from drivers.virtual.device import Device
 from drivers.virtual.dictionary import OWN, Dictionary
 from drivers.virtual.firmware import (
+    ERROR_COMMUNICATION,
     ERROR_HEARTBEAT,
     ERROR_PDO_TIMEOUT,
     Denied,
@@ -116,6 +117,7 @@ class CanopenNode:
         self._outbox: list[Frame] = []
         self._upload: bytes | None = None
         self._download: tuple[int, int, bytearray] | None = None
+        self._declared: int | None = None  # bytes of a download in segments
         self._block: BlockUpload | None = None
         self._toggle = 0
         self._error_behaviour = 0  # 1029h:01, on a communication error: pre-operational
@@ -176,6 +178,8 @@ class CanopenNode:
         if command == 0x01:
             self.state = _OPERATIONAL
         elif command == 0x02:
+            if self.state != _STOPPED:  # an abort of the connection, too (6007h)
+                self.device.firmware.communication_lost(ERROR_COMMUNICATION)
             self.state = _STOPPED
         elif command == 0x80:
             self.state = _PRE_OPERATIONAL
@@ -354,6 +358,7 @@ class CanopenNode:
             self._write(index, sub, data[4 : 4 + size], sized=bool(command & 0x01))
         else:
             self._download, self._toggle = (index, sub, bytearray()), 0
+            self._declared = struct.unpack_from("<I", data, 4)[0] if command & 0x01 else None
         self._answer(struct.pack("<BHB", 0x60, index, sub))
 
     def _download_segment(self, data: bytes) -> None:
@@ -368,6 +373,8 @@ class CanopenNode:
             raise _Abort(_ABORT_LENGTH)
         if command & 1:
             self._download = None
+            if self._declared not in (None, len(collected)):
+                raise _Abort(_ABORT_LENGTH)
             self._write(index, sub, bytes(collected), sized=True)
         self._answer(bytes((0x20 | self._toggle << 4,)))
         self._toggle ^= 1

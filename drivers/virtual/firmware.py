@@ -134,6 +134,7 @@ class Firmware:
         self._position_command = 0.0
         self._arrived_at = 0
         self._stop_by = _NEVER
+        self._word_before = 0
 
     def _recall(self) -> None:
         """Take the non-volatile values from memory."""
@@ -301,10 +302,12 @@ class Firmware:
 
     def _control(self, word: int) -> None:
         state = self.state
+        rises = word & ~self._word_before & 0x80  # fault reset is an edge (CiA 402-2, 8.4.1.3)
+        self._word_before = word
         if state is State.FAULT_REACTION_ACTIVE:
             return
         if state is State.FAULT:
-            if word & 0x80:
+            if rises:
                 self._report(0)
                 self.state = State.SWITCH_ON_DISABLED
             return
@@ -471,7 +474,7 @@ class Firmware:
                 until = queue[0][0]
             until = min(until, self._timer)
             watchdog = self.values["watchdog_time"] * 1_000_000 if self._watched else 0
-            if watchdog and self._energised and self._fed + watchdog < until:
+            if watchdog and self._fed + watchdog < until:
                 until = max(self._fed + watchdog, self.now)
             if self._energised:
                 if self._needs_loop():
@@ -488,7 +491,7 @@ class Firmware:
             if self._timer <= self.now:
                 self._timer = _NEVER
                 self._on_timer()
-            if watchdog and self._energised and self.now - self._fed >= watchdog:
+            if watchdog and self.now - self._fed >= watchdog:
                 self.communication_lost(self.silence_code)
             if self._energised and abs(self.plant.velocity) > _OVERSPEED * self.axis.speed:
                 self._report(ERROR_OVERSPEED)

@@ -181,3 +181,75 @@ def test_a_block_upload_with_a_segment_lost_and_sent_again(node: CanopenNode) ->
     assert ask("A2 01 02 00 00 00 00 00") == [f"D9 {crc} 00 00 00 00 00"]  # six bytes are none
     assert ask("A1 00 00 00 00 00 00 00") == []
     assert ask("A2 01 02 00 00 00 00 00")[0].startswith("80")
+
+
+def test_a_download_in_segments_is_as_long_as_it_was_announced(node: CanopenNode) -> None:
+    # 6060h: ccs 1, e 0, s 1, two bytes announced; one comes (n 6, last): 06070010h
+    assert sdo(node, "21 60 60 00 02 00 00 00") == "60 60 60 00 00 00 00 00"
+    assert sdo(node, "0D 0A 00 00 00 00 00 00")[:2] == "80"
+    assert sdo(node, "21 60 60 00 01 00 00 00") == "60 60 60 00 00 00 00 00"
+    assert sdo(node, "0D 0A 00 00 00 00 00 00") == "20 00 00 00 00 00 00 00"
+
+
+def energised(node: CanopenNode) -> bool:
+    return (
+        int.from_bytes(bytes.fromhex(sdo(node, "40 41 60 00 00 00 00 00"))[4:6], "little") & 0x6F
+        == 0x27
+    )
+
+
+def enable(node: CanopenNode) -> None:
+    sdo(node, "2F 60 60 00 0A 00 00 00")
+    for word in ("06", "07", "0F"):
+        sdo(node, f"2B 40 60 00 {word} 00 00 00")
+        node.device.firmware.advance(100 * MS)
+    assert energised(node)
+
+
+def test_a_fault_is_reset_by_an_edge_and_not_by_a_level(node: CanopenNode) -> None:
+    """CiA 402: transition 15 is the rise of bit 7 of the controlword."""
+
+    def write(word: int) -> bool:
+        """The controlword; whether there is a fault, then."""
+        node.receive(0x605, bytes.fromhex(f"2B 40 60 00 {word:02X} 00 00 00"))
+        return bool(bytes.fromhex(sdo(node, "40 41 60 00 00 00 00 00"))[4] & 0x08)
+
+    assert not write(0x80)
+    node.device.firmware.trip(0x8611)
+    node.device.firmware.advance(500 * MS)
+    node.poll()
+    assert write(0x80), "the bit stood already"
+    assert write(0x00)
+    assert not write(0x80)
+
+
+@pytest.mark.parametrize(("option", "enabled"), [(0, True), (1, False), (2, False), (3, False)])
+def test_a_node_that_is_stopped_has_lost_its_connection(
+    node: CanopenNode, option: int, enabled: bool
+) -> None:
+    """6007h, abort connection option: 0 no action, 1 fault, 2 disable voltage, 3 quick stop."""
+    sdo(node, f"2B 07 60 00 0{option} 00 00 00")
+    node.receive(0x000, bytes((0x01, 5)))
+    enable(node)
+    node.receive(0x000, bytes((0x02, 5)))
+    node.device.firmware.advance(500 * MS)
+    node.receive(0x000, bytes((0x80, 5)))
+    assert energised(node) is enabled
+
+
+@pytest.mark.parametrize(("behaviour", "state"), [(0, 0x7F), (1, 0x05), (2, 0x04)])
+def test_what_a_node_does_when_the_heartbeat_of_its_master_is_lost(
+    node: CanopenNode, behaviour: int, state: int
+) -> None:
+    """1029h:01, communication error: 0 pre-operational (the default), 1 no change, 2 stopped."""
+    assert sdo(node, "40 29 10 01 00 00 00 00") == "4F 29 10 01 00 00 00 00"
+    sdo(node, f"2F 29 10 01 0{behaviour} 00 00 00")
+    sdo(node, "23 16 10 01 32 00 7F 00")  # node 127, 50 ms
+    node.receive(0x000, bytes((0x01, 5)))
+    node.device.firmware.advance(200 * MS)
+    node.poll()
+    assert node.state == 0x05, "the first beat begins it"
+    node.receive(0x77F, b"\x05")
+    node.device.firmware.advance(200 * MS)
+    node.poll()
+    assert node.state == state

@@ -70,6 +70,16 @@ class RunRecord:
     context: dict[str, Any]
     adopted: bool = False
 
+    @classmethod
+    def exported(cls, run: dict[str, Any]) -> RunRecord:
+        """The checked `run` of an exported journal."""
+        return cls(**{name: run[name] for name in _FIELDS}, adopted=True)
+
+
+_FIELDS = (  # of a run, as its table has them
+    "id", "created", "axis", "link", "profile", "profile_hash", "serial", "status", "context",
+)  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True)
 class Intent:
@@ -348,9 +358,7 @@ class Journal:
             ).fetchall()
         tree = {
             "schema": "tworelay.journal/1",
-            "run": {
-                name: getattr(record, name) for name in RunRecord.__slots__ if name != "adopted"
-            },
+            "run": {name: getattr(record, name) for name in _FIELDS},
             "intents": [
                 {name: getattr(i, name) for name in ("kind", "parameter", "old", "new", "state")}
                 for i in self.intents(record.id)
@@ -371,13 +379,14 @@ class Journal:
         run = tree["run"]
         if self.knows(run["id"]):
             return str(run["id"])
-        names = ("id", "created", "axis", "link", "profile", "profile_hash", "serial", "status")
         of_intent = ("kind", "parameter", "old", "new", "state")
         with self._errors():
             self._db.execute("BEGIN IMMEDIATE")
             self._db.execute(
                 "INSERT INTO runs VALUES (?,?,?,?,?,?,?,?,?)",
-                (*(run[name] for name in names), json.dumps(run["context"])),
+                tuple(
+                    run[name] if name != "context" else json.dumps(run[name]) for name in _FIELDS
+                ),
             )
             self._db.execute("INSERT INTO adopted VALUES (?,?)", (run["id"], time.time()))
             self._db.executemany(

@@ -31,15 +31,9 @@ _UNREADABLE = (
     OSError, ValueError, KeyError, EOFError, TypeError, MemoryError, OverflowError, RuntimeError,
     zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
-_FOREIGN = (
-    "run.json",
-    "profile.toml",
-    "samples.npz",
-)  # of a run that somebody sent: no page of theirs
+# files of a run; of one that somebody sent no page of theirs
+_FOREIGN = "run.json", "profile.toml", "samples.npz"
 _FILES = *_FOREIGN, "report.html", "loci.svg", "loci.png", "loci.pdf"
-_OF_A_RUN = (
-    "id", "created", "axis", "link", "profile", "profile_hash", "serial", "status", "context",
-)  # fmt: skip
 _LARGEST_SAMPLES = 500_000_000  # bytes
 
 
@@ -101,7 +95,7 @@ class RunFolder:
         """The run's row of the journal, likewise."""
         if self.exported is None:
             return journal.run(run)
-        return RunRecord(**{k: self.exported["run"][k] for k in _OF_A_RUN}, adopted=True)
+        return RunRecord.exported(self.exported["run"])
 
     def save(self, result: dict[str, Any], samples: Samples | None, profile: str | None) -> None:
         """Write what is given; raises JournalError."""
@@ -112,8 +106,10 @@ class RunFolder:
             text = json.dumps(result, indent=1, allow_nan=False)
             replace(self.path / "run.json", text.encode())
             if samples is not None:
-                arrays = {"phases": np.array(json.dumps(samples.phases)), **samples.columns}
-                replace(self.path / "samples.npz", _packed(arrays))
+                archive = io.BytesIO()
+                phases = np.array(json.dumps(samples.phases))
+                np.savez(archive, allow_pickle=False, phases=phases, **samples.columns)
+                replace(self.path / "samples.npz", archive.getvalue())
         except OSError as error:
             raise JournalError(f"cannot write the run to {self.path}: {error}") from None
 
@@ -200,17 +196,6 @@ class RunFolder:
             return ""
         node = re.search(r"[?&]node=([0-9]{1,3})(?:&|$)", history["run"]["link"])
         return dcf(profile, changed, int(node[1]) if node else profile.link.node)
-
-
-def _packed(arrays: dict[str, NDArray[Any]]) -> bytes:
-    """The bytes of an .npz; whatever the computer's clock says, which numpy writes into it."""
-    data = io.BytesIO()
-    with zipfile.ZipFile(data, "w", zipfile.ZIP_STORED) as archive:
-        for name, array in arrays.items():
-            member = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
-            with archive.open(member, "w", force_zip64=True) as file:
-                np.lib.format.write_array(file, np.asanyarray(array), allow_pickle=False)
-    return data.getvalue()
 
 
 def _check_columns(columns: dict[str, NDArray[np.float64]]) -> None:

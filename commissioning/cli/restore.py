@@ -29,6 +29,6 @@ def command(run: str | None, link: str | None, force: bool, dry_run: bool, yes: 
     with at_desk(screen) as desk:
         outcome = restore(
             run, link, desk, force=force, dry_run=dry_run,
-            show=lambda rows: show.going_back(rows, screen),
+            show=lambda rows, drive: show.going_back(rows, drive, screen),
         )  # fmt: skip
     screen.say("dry run: nothing was written" if outcome is None else str(outcome))

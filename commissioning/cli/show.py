@@ -11,6 +11,7 @@ from commissioning.report.words import GAINS, duration, host_law
 if TYPE_CHECKING:
     from commissioning.session.adopt import Adopted
     from commissioning.settings import Return
+    from drivers.drive import Drive
     from profiles.axis import Axis
 
 __all__ = ["adopted", "going_back", "outcome", "proposal", "summary", "verification"]
@@ -253,17 +254,24 @@ def proposal(items: list[dict[str, Any]], screen: Screen) -> None:
         screen.say(f"  {item['parameter']}: {item['why']}")
 
 
-def going_back(rows: list[Return], screen: Screen) -> None:
-    """What a restore would write, raw."""
-    if rows:
-        table = [
-            [
-                row.parameter, "?" if row.there is None else str(row.there), str(row.old),
-                row.why_not or _remark(row),
-            ]
-            for row in rows
-        ]  # fmt: skip
-        screen.table("restore, raw values", ["parameter", "now", "before", ""], table)
+def going_back(rows: list[Return], drive: Drive, screen: Screen) -> None:
+    """What a restore would write, in SI and raw."""
+    table = [
+        [
+            row.parameter, _in_si(row.parameter, row.there, drive), _in_si(row.parameter, row.old, drive),
+            f"{'?' if row.there is None else row.there} → {row.old}", row.why_not or _remark(row),
+        ]
+        for row in rows
+    ]  # fmt: skip
+    if table:
+        screen.table("restore", ["parameter", "now", "before", "raw", ""], table)
+
+
+def _in_si(name: str, raw: int | None, drive: Drive) -> str:
+    """A raw value with its unit; '' where it is a code or cannot be read."""
+    parameter = drive.profile.parameters[name]
+    unit = drive.scaling.unit_text(parameter)
+    return "" if raw is None or unit == "1" else number(drive.scaling.to_si(parameter, raw), unit)
 
 
 def _remark(row: Return) -> str:

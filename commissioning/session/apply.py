@@ -289,7 +289,7 @@ def restore(
     desk: Desk,
     *,
     force: bool,
-    show: Callable[[list[Return]], None] = lambda rows: None,
+    show: Callable[[list[Return], Drive], None] = lambda rows, drive: None,
     dry_run: bool = False,
 ) -> Restored | None:
     """Put back every parameter that `run` (default: the latest with any) changed, once that is agreed.
@@ -325,7 +325,7 @@ def restore(
         _check_not_enabled(drive, desk, run_id)
         intents = desk.journal.intents(run_id, open_only=True)
         plan = planned(drive, intents, force=force)
-        show(plan)
+        show(plan, drive)
         if dry_run:
             return None
         lasting = any(intent.kind != "experiment" for intent in intents)

@@ -181,6 +181,7 @@ class Bus(Protocol):
 
     cycle: float
     in_real_time: bool
+    lacking: tuple[str, ...]  # what the drive does not have of its profile, in words
 
     def identify(self) -> Identity:
         """Ask the drive who it is."""

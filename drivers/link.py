@@ -268,9 +268,8 @@ def _open_canopen(
         lacking: tuple[str, ...] = ()
         if not to_stop:  # which asks nothing before it stops
             chosen, lacking = as_it_is(chosen, lambda at: wire.has(at.index, at.sub))  # type: ignore[union-attr]
-        bus = CanopenBus(wire, chosen, _pace(link, cycle or chosen.link.cycle))
-        bus.lacking = lacking
-        return bus, chosen
+        pace = _pace(link, cycle or chosen.link.cycle)
+        return CanopenBus(wire, chosen, pace, lacking), chosen
     except BaseException:
         wire.close()
         raise

@@ -64,7 +64,7 @@ class ProfiledDrive:
         self.link = link
         self.cycle = bus.cycle
         self.in_real_time = bus.in_real_time
-        self.lacking: tuple[str, ...] = getattr(bus, "lacking", ())  # of its profile, in words
+        self.lacking: tuple[str, ...] = bus.lacking  # of its profile, in words
         self._bus = bus
         self._power = power_of(bus, profile, self.status_text)
         self._rest_raw = 0

@@ -76,10 +76,12 @@ def identify(wire: CanWire) -> Identity:
 class CanopenBus:
     """One node on one wire."""
 
-    def __init__(self, wire: CanWire, profile: Profile, pace: Pace) -> None:
+    def __init__(
+        self, wire: CanWire, profile: Profile, pace: Pace, lacking: tuple[str, ...] = ()
+    ) -> None:
         self.cycle = pace.cycle
         self.in_real_time = not pace.stepping
-        self.lacking: tuple[str, ...] = ()  # what the node does not have of its profile, in words
+        self.lacking = lacking
         self._wire = wire
         self._profile = profile
         self._pace = pace

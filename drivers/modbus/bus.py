@@ -71,6 +71,7 @@ class ModbusBus:
     def __init__(self, client: Client, profile: Profile, pace: Pace) -> None:
         self.cycle = pace.cycle
         self.in_real_time = not pace.stepping
+        self.lacking: tuple[str, ...] = ()
         self._client = client
         self._pace = pace
         self._profile = profile

@@ -35,6 +35,7 @@ class DirectBus:
         self.device = device
         self.cycle = device.cycle / SECOND
         self.in_real_time = False
+        self.lacking: tuple[str, ...] = ()
         self._map = RegisterMap(device)
         self._firmware = device.firmware
         if profile.name != "virtual-modbus":

@@ -25,11 +25,11 @@ def command(run: str, output: str | None) -> None:
 
 
 def say_report(run: str, screen: Screen) -> None:
-    """Write the report at the end of a job that is done, whether or not there is room for it."""
+    """Write the report at the end of a job, whose outcome does not hang on there being room for it."""
     try:
         screen.say(f"report {write_report(run, None)}")
     except UsageError as error:
-        screen.say(f"no report: {error}; the job is done, and 'tworelay report {run}' tries again")
+        screen.say(f"no report: {error}; 'tworelay report {run}' tries again")
 
 
 def write_report(run: str, output: str | None) -> Path:

@@ -68,10 +68,11 @@ class ModbusBus:
         Its cycle is the link's.
     """
 
+    lacking: tuple[str, ...] = ()  # its profile says all that there is
+
     def __init__(self, client: Client, profile: Profile, pace: Pace) -> None:
         self.cycle = pace.cycle
         self.in_real_time = not pace.stepping
-        self.lacking: tuple[str, ...] = ()
         self._client = client
         self._pace = pace
         self._profile = profile

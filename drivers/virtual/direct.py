@@ -31,11 +31,12 @@ class DirectBus:
     The axis' `jitter`, `loss` and `stamp` make it as bad as a real link, the same way each time.
     """
 
+    lacking: tuple[str, ...] = ()  # its profile says all that there is
+
     def __init__(self, device: Device, profile: Profile) -> None:
         self.device = device
         self.cycle = device.cycle / SECOND
         self.in_real_time = False
-        self.lacking: tuple[str, ...] = ()
         self._map = RegisterMap(device)
         self._firmware = device.firmware
         if profile.name != "virtual-modbus":

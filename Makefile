@@ -1,5 +1,5 @@
 # make demo | test | check | coverage | mutants | platforms | bench | fuzz | faults | faults-long | kills |
-# machine-faults | limits – each sets itself up on a bare machine with Python 3.11
+# habits | machine-faults | limits – each sets itself up on a bare machine with Python 3.11
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 CASES ?= 12000
 AXES ?= 2000
 
-.PHONY: demo test check coverage mutants mutants-afresh platforms bench fuzz faults faults-long kills machine-faults limits format lint types imports lock clean
+.PHONY: demo test check coverage mutants mutants-afresh platforms bench fuzz faults faults-long habits kills machine-faults limits format lint types imports lock clean
 
 demo: $(STAMP)
 	$(BIN)/tworelay demo
@@ -63,6 +63,10 @@ faults: $(STAMP)
 	$(BIN)/python -m tests.faults.every
 faults-long: $(STAMP)
 	$(BIN)/python -m tests.faults.every --long
+
+# a job on a drive with each habit of real ones, on six links; ends with "habits: N cases, S survived, …"
+habits: $(STAMP)
+	$(BIN)/python -m tests.habits.campaign
 
 # jobs that die at every step of their journal, in five ways; ends with "kills: N cases, M held"
 kills: $(STAMP)

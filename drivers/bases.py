@@ -10,7 +10,7 @@ from profiles.axis import Axis
 from profiles.errors import PreflightRefused
 from profiles.schema import Address, CanopenAddress, Profile, Unit
 
-__all__ = ["read_bases"]
+__all__ = ["interpolation_period", "read_bases"]
 
 _COUNTED_IN_RATED = {
     Unit.RATED_TORQUE, Unit.RATED_TORQUE_PER_SPEED, Unit.RATED_TORQUE_PER_SECOND, Unit.CURRENT,
@@ -39,6 +39,18 @@ def read_bases(profile: Profile, axis: Axis, read: Read) -> Scaling:
     constant = _torque_constant(profile, axis, rated or nan, read)
     turned = _turned(profile, read)
     return Scaling(rated or nan, encoder or nan, axis.mechanics, constant, turned)
+
+
+def interpolation_period(cycle: float) -> tuple[int, int]:
+    """60C2h:01 and :02 of a cycle (s): so many times ten to that power; the finest that fits 8 bits."""
+    for exponent in (-6, -5, -4, -3):
+        told = round(cycle / 10**exponent)
+        if told <= 255:
+            break
+    # the usual way to say it: 5 ms are 5e-3, and not 50e-4
+    while told % 10 == 0 and exponent < -3:
+        told, exponent = told // 10, exponent + 1
+    return min(told, 255), exponent
 
 
 def _torque_constant(profile: Profile, axis: Axis, rated: float, read: Read) -> float:

@@ -13,7 +13,10 @@ __all__ = [
     "DISABLE_VOLTAGE",
     "ENABLE",
     "FAULT_RESET",
+    "INTERNAL_LIMIT",
+    "QUICK_STOP_RAMP",
     "STATES",
+    "STAYS_IN_QUICK_STOP",
     "next_controlword",
     "state",
     "status",
@@ -37,6 +40,9 @@ SWITCH_ON = 0x0007
 ENABLE = 0x000F
 FAULT_RESET = 0x0080
 
+STAYS_IN_QUICK_STOP = 5  # 605Ah from here on: the drive holds the axis when it has stopped
+QUICK_STOP_RAMP = 2  # and this one takes the energy away then
+
 # state we are in: controlword of the next step towards "operation enabled"
 _UPWARDS: dict[str, int] = {
     "switch on disabled": SHUTDOWN,
@@ -51,7 +57,7 @@ _DOWNWARDS: dict[str, int] = {
     "ready to switch on": DISABLE_VOLTAGE,
 }
 
-_INTERNAL_LIMIT = 0x0800
+INTERNAL_LIMIT = 0x0800
 
 
 def state(statusword: int) -> str:
@@ -75,6 +81,6 @@ def status(statusword: int) -> Status:
         enabled=name == "operation enabled",
         fault=name in ("fault", "fault reaction active"),
         stopping=name in ("quick stop active", "fault reaction active"),
-        limit=bool(statusword & _INTERNAL_LIMIT),
+        limit=bool(statusword & INTERNAL_LIMIT),
         word=statusword,
     )

@@ -15,7 +15,9 @@ from profiles.schema import Address, Identity, Mode, Profile
 if TYPE_CHECKING:
     from drivers.serial_port import SerialPort, Stream
 
-__all__ = ["SET", "Bus", "Drive", "Exchange", "StopFrames", "StopReport"]
+__all__ = ["GUARDS", "SET", "Bus", "Drive", "Exchange", "StopFrames", "StopReport"]
+
+GUARDS = 4  # signs of life within the time-out of a drive's watchdog
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,12 @@ from drivers.home import home
 from drivers.link_text import Link, host_and_port, is_simulated, parse
 from drivers.optional import as_it_is
 from drivers.pace import Pace, StepPace, WallPace
+from drivers.patience import when_up
 from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis, AxisLimits, Mechanics
 from profiles.errors import AccessDenied, IdentityMismatch, LinkError, Refused, UsageError
 from profiles.library import fitting, load_profile
-from profiles.schema import Identity, LinkDefaults, Profile
+from profiles.schema import Identity, LinkDefaults, Patience, Profile
 
 if TYPE_CHECKING:
     from drivers.modbus.wires import Wire
@@ -153,21 +154,24 @@ def _open_virtual(
     from drivers.virtual.device import Device
     from drivers.virtual.direct import DirectBus
     from drivers.virtual.firmware import Firmware
+    from drivers.virtual.habits import habits_of
     from drivers.virtual.memory import Memory
 
     virtual = _virtual_axis(link)
+    habits = habits_of(filter(None, link.options.get("habit", "").split(","))).for_bus("virtual")
     device = Device(Firmware(virtual, Memory.at(state_file(link))), "step")
     if cycle is not None:
         device.cycle = round(cycle * 1e9)
     profile = profile or _armed_with(load_profile("virtual-modbus"), axis)
-    return DirectBus(device, profile), profile
+    return DirectBus(device, profile, habits), profile
 
 
 def _virtual_axis(link: Link) -> Any:
     from drivers.virtual.axes import configured
 
     return configured(
-        link.place.strip("/"), {k: v for k, v in link.options.items() if k != "state"}
+        link.place.strip("/"),
+        {k: v for k, v in link.options.items() if k not in ("state", "habit")},
     )
 
 
@@ -264,10 +268,17 @@ def _open_canopen(
     awaits_sync = link.options.get("sync") == "bus"
     wire = CanWire(open_can(link, profile), node, timeout, trace, awaits_sync=awaits_sync)
     try:
-        chosen = _armed_with(_agree(identify(wire), "canopen", profile), axis)
+        patience = 0.0 if to_stop else (profile.link if profile else LinkDefaults()).patience
+        boot = 0.0 if to_stop else (profile.patience if profile else Patience()).boot
+        identity = when_up(lambda: identify(wire, patience), boot, timeout)
+        chosen = _armed_with(_agree(identity, "canopen", profile), axis)
         lacking: tuple[str, ...] = ()
         if not to_stop:  # which asks nothing before it stops
-            chosen, lacking = as_it_is(chosen, lambda at: wire.has(at.index, at.sub))  # type: ignore[union-attr]
+            chosen, lacking = as_it_is(
+                chosen,
+                lambda at: wire.has(at.index, at.sub, patience),  # type: ignore[union-attr]
+                can_guard=wire.can_guard,
+            )
         pace = _pace(link, cycle or chosen.link.cycle)
         return CanopenBus(wire, chosen, pace, lacking), chosen
     except BaseException:

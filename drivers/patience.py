@@ -1,13 +1,13 @@
-"""A drive that says it is busy is asked again: "not yet" is no refusal."""
+"""A drive that is busy, or still boots, is asked again: "not yet" is no refusal."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import TypeVar
 
-from profiles.errors import AccessDenied
+from profiles.errors import AccessDenied, NoAnswer
 
-__all__ = ["patiently"]
+__all__ = ["patiently", "when_up"]
 
 T = TypeVar("T")
 _ROUNDING = 1e-6  # s
@@ -31,3 +31,20 @@ def patiently(action: Callable[[], T], patience: float, wait: Callable[[], float
                 )
                 raise
         waited += wait()
+
+
+def when_up(action: Callable[[], T], patience: float, silence: float) -> T:
+    """What `action` gives, asked again for `patience` s while nothing answers: the drive may still boot.
+
+    `silence` : s that each question takes to be given up. Raises NoAnswer.
+    """
+    waited = 0.0
+    while True:
+        try:
+            return action()
+        except NoAnswer as error:
+            waited += silence
+            if waited > patience - _ROUNDING:
+                if patience:
+                    error.args = (f"{error}; it was asked for {waited:.3g} s",)
+                raise

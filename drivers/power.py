@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from drivers import cia402
 from drivers.drive import Bus
@@ -15,14 +15,19 @@ from profiles.schema import Condition, Power, Profile, Step
 __all__ = ["Cia402Power", "PowerStage", "ProcedurePower", "perform", "power_of"]
 
 _POLL = 0.005  # s between two looks at a state
+_BUSY = 0.05  # s until a busy drive is asked again
 
 _WAY_UP = "switch on disabled", "ready to switch on", "switched on", "operation enabled"
 
+T = TypeVar("T")
 Frame = list[int]  # raw values of cycle.out
 
 
 class PowerStage(Protocol):
     """What can be done with a drive's energy, and what the drive says of it."""
+
+    def peculiarities(self) -> tuple[str, ...]:
+        """What it says at rest that can mean nothing, in words; it is not heeded from now on."""
 
     def text(self) -> str:
         """State in words."""
@@ -57,13 +62,19 @@ def power_of(bus: Bus, profile: Profile, describe: Callable[[], str]) -> PowerSt
 
 
 def perform(
-    bus: Bus, profile: Profile, steps: tuple[Step, ...], what: str, wait: Callable[[], float]
+    bus: Bus,
+    profile: Profile,
+    steps: tuple[Step, ...],
+    what: str,
+    wait: Callable[[], float],
+    patience: float | None = None,
 ) -> None:
     """Write and wait as `steps` say; `wait` lets some time pass and says how much, s.
 
-    A drive that says it is busy is asked again. Raises WriteFailed when a wait is in vain, LinkError.
+    A drive that says it is busy is asked again, for `patience` s (default: the link's). Raises WriteFailed
+    when a wait is in vain, LinkError.
     """
-    patience = profile.link.patience
+    patience = profile.link.patience if patience is None else patience
     for step in steps:
         if step.write is not None and step.raw is not None:
             address, raw = profile.parameters[step.write].address, step.raw
@@ -93,12 +104,26 @@ class Cia402Power:
         self._bus = bus
         self._describe = describe
         self._patience = profile.patience.enable
+        self._busy = profile.link.patience
         self._control = profile.parameters["controlword"].address
         self._state = profile.parameters["statusword"].address
         out = profile.cycle.out
         self._width = len(out)
         self._at_control = out.index("controlword") if "controlword" in out else None
         self._at_status = profile.cycle.in_.index("statusword")
+        self._told = ~0  # bits of the statusword that tell something
+
+    def peculiarities(self) -> tuple[str, ...]:
+        """What it says at rest that can mean nothing, in words; it is not heeded from now on."""
+        status = cia402.status(self._patiently(self._word, self._pause))
+        if not status.limit or status.enabled or status.stopping:
+            return ()
+        self._told = ~cia402.INTERNAL_LIMIT
+        text = (
+            "the drive says at rest, without energy, that an internal limit is active (6041h, bit 11): that "
+            "bit tells nothing here, and is not heeded"
+        )
+        return (text,)
 
     def _word(self) -> int:
         return self._bus.read(self._state)
@@ -119,7 +144,18 @@ class Cia402Power:
     def acknowledge(self) -> None:
         """A rising edge of the controlword's fault reset."""
         for word in (0, cia402.FAULT_RESET, 0):
-            self._bus.write(self._control, word)
+            self._tell(word, self._pause)
+
+    def _patiently(self, action: Callable[[], T], wait: Callable[[], float]) -> T:
+        """What `action` gives; `wait` lets time pass until a busy drive is asked again."""
+        return patiently(action, self._busy, wait)
+
+    def _tell(self, word: int, wait: Callable[[], float]) -> None:
+        self._patiently(lambda: self._bus.write(self._control, word), wait)
+
+    def _pause(self) -> float:
+        self._bus.wait(_BUSY)
+        return _BUSY
 
     def idle(self) -> Frame:
         """Zeros, and 'enable operation' where the controlword is in the cycle."""
@@ -144,8 +180,14 @@ class Cia402Power:
             frame[at] = cia402.SHUTDOWN if enabled else cia402.SWITCH_ON
         sent: tuple[str, int] | None = None
         cycles = reached = 0
+
+        def turn() -> float:
+            """The cycle feeds the drive's watchdog while brake and ramps take their time."""
+            self._bus.exchange(tuple(frame))
+            return self._bus.cycle
+
         while True:
-            word = self._word()
+            word = self._patiently(self._word, turn)
             here = cia402.state(word)
             if here in goals:
                 return
@@ -162,18 +204,17 @@ class Cia402Power:
             if step is not None and sent != (here, step):
                 if at is not None:
                     frame[at] = step
-                self._bus.write(self._control, step)
+                self._tell(step, turn)
                 sent, cycles = (here, step), 0
             elif cycles * self._bus.cycle >= self._patience:
                 raise PreflightRefused(_stuck(here, self._patience, enabled=enabled))
             else:
-                # the cycle feeds the drive's watchdog while brake and ramps take their time
-                self._bus.exchange(tuple(frame))
+                turn()
                 cycles += 1
 
     def status(self, values: tuple[int, ...]) -> Status:
         """What the statusword says."""
-        return cia402.status(values[self._at_status])
+        return cia402.status(values[self._at_status] & self._told)
 
 
 class ProcedurePower:
@@ -200,6 +241,10 @@ class ProcedurePower:
             else None
         )
         self._known: dict[tuple[int, int, int], Status] = {}
+
+    def peculiarities(self) -> tuple[str, ...]:
+        """Nothing: a profile says what each bit means."""
+        return ()
 
     def _holds(self, condition: Condition | None) -> bool:
         if condition is None:

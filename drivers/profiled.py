@@ -6,9 +6,10 @@ from collections.abc import Callable
 from math import inf, nan
 from typing import TYPE_CHECKING, Never, TypeVar
 
-from drivers.bases import read_bases
+from drivers import cia402
+from drivers.bases import interpolation_period, read_bases
 from drivers.counter import Counter
-from drivers.drive import SET, Bus, Exchange, StopFrames, StopReport
+from drivers.drive import GUARDS, SET, Bus, Exchange, StopFrames, StopReport
 from drivers.patience import patiently
 from drivers.power import perform, power_of
 from drivers.sample import Sample
@@ -64,7 +65,7 @@ class ProfiledDrive:
         self.link = link
         self.cycle = bus.cycle
         self.in_real_time = bus.in_real_time
-        self.lacking: tuple[str, ...] = bus.lacking  # of its profile, in words
+        self.lacking = bus.lacking  # of its profile, and what else is odd about it, in words
         self._bus = bus
         self._power = power_of(bus, profile, self.status_text)
         self._rest_raw = 0
@@ -85,6 +86,8 @@ class ProfiledDrive:
         self._position_step = self._step("position_actual")
         self._counter = self._position_counter(to_stop=to_stop)
         self._torque_step = self._step("torque_actual") if self._at_torque is not None else nan
+        if not to_stop:
+            self.lacking += self._power.peculiarities()
 
     def _position_counter(self, *, to_stop: bool) -> Counter:
         """It wraps within its position range limit (607Bh), where it has one, else at its type's width."""
@@ -169,7 +172,10 @@ class ProfiledDrive:
         if not parameter.allows(raw):
             raise WriteFailed(f"'{name}': raw value {raw} is not allowed ({low:g}…{high:g})")
         try:
-            self._patiently(lambda: self._bus.write(parameter.address, raw))
+            if name == "mode_of_operation":
+                self._write_mode(raw)
+            else:
+                self._patiently(lambda: self._bus.write(parameter.address, raw))
         except WriteDenied as error:
             raise WriteDenied(f"'{name}': {error}", busy=error.busy) from None
         self._verify(name, parameter, raw)
@@ -194,10 +200,11 @@ class ProfiledDrive:
         if self.is_energised():
             raise WriteFailed("nothing is stored while the drive is enabled: disable it first")
         steps = self.profile.store.steps
-        with self._bus.answering_within(
-            self.profile.link.patience
-        ):  # some are silent while they store
-            perform(self._bus, self.profile, steps, "store", lambda: self._pause(_POLL))
+        patience = self.profile.patience.save
+        with self._bus.answering_within(patience):  # some are silent while they store
+            perform(self._bus, self.profile, steps, "store", lambda: self._pause(_POLL), patience)
+            # and some are busy after they have said that it is done
+            patiently(self._power.is_energised, patience, lambda: self._pause(_BUSY))
 
     def watchdog_settings(self) -> dict[str, int]:
         """Raw value of each parameter that arms the drive-side watchdog; empty: it has none."""
@@ -208,6 +215,8 @@ class ProfiledDrive:
         if watchdog.kind == "heartbeat":
             raw |= watchdog.node << 16  # CiA 301, object 1016h: node in bits 16-23
         settings = {watchdog.parameter: raw}
+        if watchdog.kind == "guarding" and watchdog.life_factor is not None:
+            settings = {watchdog.parameter: max(1, raw // GUARDS), watchdog.life_factor: GUARDS}
         if watchdog.reaction is not None and watchdog.reaction_raw is not None:
             settings[watchdog.reaction] = watchdog.reaction_raw
         return settings
@@ -227,11 +236,26 @@ class ProfiledDrive:
     def preparations(self, mode: Mode) -> dict[str, int]:
         """Raw value of each parameter that `mode` needs set before it is enabled."""
         steps = self._supported(mode).before
-        found = self.exclusive_access()
+        found = self.exclusive_access() | self._standard_preparations()
         found |= {s.write: s.raw for s in steps if s.write is not None and s.raw is not None}
         host = self.profile.compensation.host
         if host is not None and self._is_set(host):
             found[host] = 0  # it would act on top of every command
+        return found
+
+    def _standard_preparations(self) -> dict[str, int]:
+        """What CiA 402 asks of any mode: the period of the set-points (60C2h), and a quick stop that ends."""
+        found: dict[str, int] = {}
+        value, power = (
+            self._optional("interpolation_time"),
+            self._optional("interpolation_exponent"),
+        )
+        if value is not None and power is not None:
+            told, exponent = interpolation_period(self.cycle)
+            found = {"interpolation_time": told, "interpolation_exponent": exponent}
+        option = self._optional("quick_stop_option")
+        if option is not None and option >= cia402.STAYS_IN_QUICK_STOP:
+            found["quick_stop_option"] = cia402.QUICK_STOP_RAMP
         return found
 
     def power_changes(self) -> dict[str, tuple[int, ...]]:
@@ -298,9 +322,9 @@ class ProfiledDrive:
         return f"{text}, {trouble}" if trouble else text
 
     def _state_text(self) -> str:
-        text = self._power.text()
+        text = self._patiently(self._power.text)
         known = self.profile.parameters.get("error_code")
-        code = self._bus.read(known.address) if known is not None else 0
+        code = self._patiently(lambda: self._bus.read(known.address)) if known is not None else 0
         return f"{text}, error code {code:04X}h" if code else text
 
     def fault_text(self) -> str:
@@ -354,7 +378,7 @@ class ProfiledDrive:
         )
         if not self._lowest <= self._rest_raw <= self._highest:
             self._refuse_set_point(code.set_point, self._rest_raw)
-        self._bus.write(target.address, self._rest_raw)
+        self._patiently(lambda: self._bus.write(target.address, self._rest_raw))
         self._verify(code.set_point, target, self._rest_raw)
         self._bus.start(self._frame(self._rest_raw))
         self._energised = True
@@ -364,7 +388,7 @@ class ProfiledDrive:
         """Take the energy away from an axis at rest; raises LinkError, DriveFault."""
         self._power.disable(list(self._frame(self._rest_raw)))
         self._energised = False
-        self._rest()
+        self._patiently(self._rest)
 
     def _rest(self) -> None:
         """Zero as the torque command of a drive without energy: no stale one waits for the next master."""
@@ -418,13 +442,27 @@ class ProfiledDrive:
 
     def _set_mode(self, code: int) -> None:
         patience = self.profile.patience.mode
-        self._bus.write(self._parameter("mode_of_operation").address, code)
+        self._write_mode(code)
         if self._comes(lambda: self.read_raw("mode_display") == code, patience):
             return
         raise PreflightRefused(
             f"the drive stays in mode {self.read_raw('mode_display')} instead of {code} for {patience:g} s; "
             "if it needs longer, say so in its profile: [patience] mode"
         )
+
+    def _write_mode(self, code: int) -> None:
+        """Tell the drive its mode; to some that of before is an error, or any while HALT is set."""
+        address = self._parameter("mode_of_operation").address
+        if self._patiently(lambda: self._bus.read(address)) == code:
+            return
+        try:
+            self._bus.write(address, code)
+        except WriteDenied:
+            control = self.profile.parameters.get("controlword")
+            if self.profile.power is not None or control is None:
+                raise
+            self._patiently(lambda: self._bus.write(control.address, cia402.DISABLE_VOLTAGE))
+            self._patiently(lambda: self._bus.write(address, code))
 
     def _select(self, mode: Mode, code: ModeCode) -> None:
         self._mode = mode

@@ -165,7 +165,12 @@ def _without_what_is_missing(document: TOMLDocument, eds: Eds) -> list[str]:
     if not has("abort_connection_option"):
         watchdog.pop("reaction", None)
         watchdog.pop("reaction_raw", None)
+    for key in ("guard_time", "life_factor"):
+        if not has(key):
+            watchdog.pop(key, None)
     limits: Any = document["limits"]
+    if "max_current" not in parameters:
+        limits.pop("current", None)
     for key, name in (("torque", "max_torque"), ("speed", "max_speed")):
         if not has(name):
             del limits[key]

@@ -104,6 +104,10 @@ class LinkError(TwoRelayError):
     exit_code = 4
 
 
+class NoAnswer(LinkError):
+    """The time-out of one request has passed."""
+
+
 class LinkLost(LinkError):
     """A link that worked no longer does."""
 
@@ -137,14 +141,20 @@ class WriteFailed(TwoRelayError):
 
 
 class AccessDenied(TwoRelayError):
-    """The drive answers, and refuses an access: `busy` for now only, `missing` what it does not have."""
+    """The drive answers, and refuses an access.
+
+    `busy`: for now only. `missing`: it does not have it. `length`: of so many bytes.
+    """
 
     exit_code = 4
 
-    def __init__(self, message: str, *, busy: bool = False, missing: bool = False) -> None:
+    def __init__(
+        self, message: str, *, busy: bool = False, missing: bool = False, length: bool = False
+    ) -> None:
         super().__init__(message)
         self.busy = busy
         self.missing = missing
+        self.length = length
 
 
 class WriteDenied(AccessDenied, WriteFailed):

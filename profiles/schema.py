@@ -477,14 +477,18 @@ class Mailbox(_Strict):
 class Watchdog(_Strict):
     """The drive-side watchdog of communication and how it is armed.
 
-    `parameter` takes the time-out; `kind` says what feeds it: the cyclic command, any
-    request, or a heartbeat.
+    `parameter` takes the time-out; `kind` says what feeds it: the cyclic command, any request, a heartbeat,
+    or the remote frames of life guarding (CiA 301, 7.2.8.2.2).
     """
 
-    kind: Literal["cycle", "traffic", "heartbeat", "none"]
+    kind: Literal["cycle", "traffic", "heartbeat", "guarding", "none"]
     parameter: str | None = None
     timeout: Annotated[float, Field(gt=0)] = 0.05  # s
     node: Annotated[int, Field(ge=1, le=127)] = 127  # whose heartbeat it is: ours
+    guard_time: str | None = (
+        None  # parameters of life guarding, for a drive without a heartbeat consumer
+    )
+    life_factor: str | None = None
     reaction: str | None = None  # parameter that says what the drive does
     reaction_raw: int | None = None
 
@@ -635,9 +639,13 @@ _GAIN_UNITS = {
 class Patience(_Strict):
     """How long a drive may take, s, to do what it was told: real ones take milliseconds, or seconds."""
 
+    boot: Annotated[float, Field(ge=0)] = (
+        2.0  # until it answers at all, from when it is asked first
+    )
     reset: Annotated[float, Field(gt=0)] = 2.0  # until a fault is gone after its acknowledgement
     mode: Annotated[float, Field(gt=0)] = 10.0  # until the mode that was asked for is displayed
-    enable: Annotated[float, Field(gt=0)] = 2.0  # one transition of the state machine, brake too
+    enable: Annotated[float, Field(gt=0)] = 5.0  # one transition of the state machine, brake too
+    save: Annotated[float, Field(gt=0)] = 10.0  # until parameters are stored, and it listens again
 
 
 class Brake(_Strict):
@@ -672,7 +680,9 @@ class Profile(_Strict):
     stop_time: Annotated[float, Field(gt=0)] = 1.0  # s, from `stop` to rest, brake closed
     requires: tuple[Condition, ...] = ()  # looked at before anything is written
     exclusive: Step | None = None  # locks other masters out: written first, put back last
-    limits: dict[Literal["torque", "speed"], str] = {}
+    limits: dict[
+        Literal["torque", "speed", "current"], str
+    ] = {}  # current: a second one of the torque
     watchdog: Watchdog
     patience: Patience = Patience()
     brake: Brake = Brake()
@@ -808,8 +818,7 @@ class Profile(_Strict):
             if any(code.code is not None for code in codes):
                 found.append((f"modes.{mode}", "mode_of_operation"))
                 found.append((f"modes.{mode}", "mode_display"))
-        if self.watchdog.parameter:
-            found.append(("watchdog", self.watchdog.parameter))
-        if self.watchdog.reaction:
-            found.append(("watchdog", self.watchdog.reaction))
+        watchdog = self.watchdog
+        named = (watchdog.parameter, watchdog.reaction, watchdog.guard_time, watchdog.life_factor)
+        found += [("watchdog", name) for name in named if name]
         return found

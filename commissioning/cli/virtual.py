@@ -34,7 +34,7 @@ def list_axes(habits: bool, as_json: bool) -> None:
             return
         for name, habit in HABITS.items():
             default = f"={habit.default}" if habit.default else ""
-            say(f"{name + default:<18} {habit.text}")
+            say(f"{name + default:<18} {habit.text} [{', '.join(habit.buses)}]")
         return
     from drivers.virtual.axes import AXES
 
@@ -78,7 +78,7 @@ def list_axes(habits: bool, as_json: bool) -> None:
     "habits",
     multiple=True,
     metavar="NAME[=VALUE]",
-    help="A habit of real drives on CANopen ('tworelay virtual list --habits').",
+    help="A habit of real drives ('tworelay virtual list --habits').",
 )
 @click.option("--clock", type=click.Choice(["wall", "step"]), default="wall", show_default=True)
 @click.option(
@@ -110,7 +110,7 @@ def serve_axis(
 
     query = "&".join(changes)
     link = parse(f"virtual://{axis}" + (f"{'&' if '?' in axis else '?'}{query}" if query else ""))
-    options = {key: value for key, value in link.options.items() if key != "state"}
+    options = {k: value for k, value in link.options.items() if k not in ("state", "habit")}
     endpoints = Endpoints(
         modbus_tcp=_place(modbus_tcp),
         modbus_rtu_tcp=_place(modbus_rtu_tcp),
@@ -118,12 +118,11 @@ def serve_axis(
         socketcand=_place(socketcand),
         slcan_pty=slcan == "pty",
         twin_of=load_profile(profile) if profile else None,
-        habits=habits_of(habits),
+        habits=habits_of(filter(None, (*link.options.get("habit", "").split(","), *habits))),
     )
     modbus = endpoints.modbus_tcp or endpoints.modbus_rtu_tcp or endpoints.modbus_rtu_pty
     other = endpoints.socketcand or endpoints.slcan_pty
-    if habits and modbus:
-        raise UsageError("--habit: there are habits of drives on CANopen only, so far")
+    endpoints.habits.for_bus("modbus" if modbus else "canopen")
     if endpoints.twin_of is not None and (modbus if endpoints.twin_of.bus == "canopen" else other):
         raise UsageError(
             f"profile '{endpoints.twin_of.name}' is for {endpoints.twin_of.bus}: its twin is served "

@@ -23,6 +23,7 @@ __all__ = [
     "Weight",
     "agreement",
     "dwell_share",
+    "is_unsigned",
     "of_lock_in",
     "of_modulating",
     "of_torque",
@@ -309,10 +310,25 @@ def dwell_share(record: Record, inertia: float, coulomb: float) -> float:
 
 
 _AHEAD = 2  # cycles
+_A_PUSH = 0.05  # of the largest command
+
+
+def is_unsigned(measured: Array, command: Array) -> bool:
+    """Whether a drive tells its torque without a sign: a command that pushes both ways, and never below zero.
+
+    Parameters
+    ----------
+    measured, command : (n,) N.m or N, one a cycle
+    """
+    largest = float(np.abs(command).max(initial=0.0))
+    pushes_both_ways = min(-float(command.min()), float(command.max())) > _A_PUSH * largest
+    return pushes_both_ways and float(measured.min()) > -_A_PUSH * largest < float(measured.max())
 
 
 def torque_gain(measured: Array, command: Array) -> float | None:
     """Measured torque over commanded, at the lag that fits best; None where nothing is measured.
+
+    Of a torque without a sign: mean size over mean size.
 
     A drive that is read some time after it was commanded shows the torque before the command is said to be
     in force: the lag may be a cycle or two the other way.
@@ -323,6 +339,8 @@ def torque_gain(measured: Array, command: Array) -> float | None:
     """
     if not np.isfinite(measured).all() or len(measured) < 50:
         return None
+    if is_unsigned(measured, command):
+        return float(np.abs(measured).mean() / max(np.abs(command).mean(), 1e-300))
     m, c = measured - measured.mean(), command - command.mean()
     gains, misses = [], []
     for lag in range(-_AHEAD, min(40, len(c) // 8)):

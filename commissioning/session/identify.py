@@ -19,6 +19,7 @@ from commissioning.identification.verdict import (
     Reason,
     Weight,
     dwell_share,
+    is_unsigned,
     of_torque,
     torque_gain,
 )
@@ -195,8 +196,11 @@ def _reasons(measured: Measured, job: Measurement, cycle: float, method: str) ->
     inertia = measured.estimate("inertia")
     begin, end = record.time[0], record.time[-1]
     cut = [s for s in samples if begin <= s.time <= end]
+    torque, command = np.array([s.torque for s in cut]), np.array([s.command for s in cut])
+    if is_unsigned(torque, command):
+        reasons.append(Reason(Weight.NOTE, "the drive tells its torque without a sign"))
     reasons += of_torque(
-        torque_gain(np.array([s.torque for s in cut]), np.array([s.command for s in cut])),
+        torque_gain(torque, command),
         dwell_share(record, inertia.value if inertia else job.known.inertia, f),
         relay.half_swing,
         record.resolution,

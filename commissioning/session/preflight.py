@@ -134,12 +134,20 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
     rated = drive.scaling.rated_torque * mechanics.effort_per_torque
     named = drive.profile.limits
     most = drive.read(named["torque"]) if "torque" in named else rated
+    asked = options.max_torque or axis.limits.torque
     if most <= 0:
-        raise PreflightRefused(
-            f"the drive's own torque limit ('{named.get('torque')}') is {most:g} {axis.effort_unit}: "
-            "nothing can be moved; set it in the drive first"
-        )
-    torque = options.max_torque or axis.limits.torque or min(rated, most)
+        if asked is None:
+            raise PreflightRefused(
+                f"the drive's own torque limit ('{named.get('torque')}') reads {most:g} {axis.effort_unit}, "
+                f"which is no limit, or no torque: set it in the drive, or give --max-torque in "
+                f"{axis.effort_unit}, which is set for the experiment"
+            )
+        most = asked
+    by = drive.profile.parameters[named["torque"]].address if "torque" in named else "rated torque"
+    current = drive.read(named["current"]) if "current" in named else 0.0
+    if 0 < current < most:
+        most, by = current, drive.profile.parameters[named["current"]].address
+    torque = asked or min(rated, most)
     fastest = drive.read(named["speed"]) if "speed" in named else None
     speed = options.max_speed or axis.limits.speed or fastest
     if not speed:
@@ -150,7 +158,7 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
     if torque > most * (1 + 1e-9):
         raise PreflightRefused(
             f"max torque of {torque:.4g} {axis.effort_unit} is above the drive's own limit of "
-            f"{most:.4g} {axis.effort_unit} ('{named.get('torque')}')"
+            f"{most:.4g} {axis.effort_unit} ({by})"
         )
     drive.check_set_points(Mode.TORQUE, torque)
     return Limits(

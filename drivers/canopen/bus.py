@@ -5,28 +5,43 @@ from __future__ import annotations
 import contextlib
 import re
 import struct
+from collections.abc import Callable
 from contextlib import AbstractContextManager
+from functools import partial
 from itertools import combinations
 from statistics import median
 from time import perf_counter
+from typing import TypeVar
 
-from drivers.canopen.wire import SYNC, CanWire
-from drivers.drive import Exchange
+from drivers.canopen.pdo import (
+    HEARTBEAT_PRODUCER,
+    MAPPING,
+    OFF,
+    Objects,
+    Pdo,
+    agree,
+    code_of,
+    complete,
+    name_of,
+    size_of,
+)
+from drivers.canopen.wire import HEARTBEAT, SYNC, CanWire
+from drivers.drive import GUARDS, Exchange
 from drivers.pace import Pace
+from drivers.patience import patiently
 from drivers.serial_port import SerialPort, Stream
-from drivers.stepping import set_simulation
+from drivers.stepping import Simulation, set_simulation
 from profiles.errors import (
     AccessDenied,
     LinkError,
     LinkLost,
     PreflightRefused,
-    ProfileError,
     TwoRelayError,
     UsageError,
     WriteDenied,
     WriteFailed,
 )
-from profiles.schema import WIDTH_BITS, Address, CanopenAddress, Identity, Profile
+from profiles.schema import Address, CanopenAddress, Identity, Profile
 
 __all__ = ["CanopenBus", "identify", "sync_period"]
 
@@ -46,28 +61,24 @@ _CONSUMER_BEGINS = 0.005  # s from the first beat to the second, before the node
 _SYNCS_LOOKED_AT = 20
 _SYNC_PATIENCE = 1.0  # s
 _SYNC_TOLERANCE = 0.1  # of the cycle
-_PDO_OFF = 1 << 31
-_PDO_FLAGS = 3 << 29  # no RTR, 29-bit frame: the drive's own
 _EVENT_DRIVEN = 255
 _EVERY_SYNC = 1
-_HEARTBEAT_PRODUCER = 0x1017, 0
-_MAPPING = 0x200  # from a PDO's communication parameters to its mapping
 _OBJECT = re.compile(r"([0-9A-F]{4})h:([0-9A-F]{2})")
 
-Objects = dict[tuple[int, int], int]  # raw values by index and sub-index
 
-_CODE = {
-    "i8": "b", "u8": "B", "i16": "h", "u16": "H", "i32": "i", "u32": "I", "i64": "q", "u64": "Q",
-}  # fmt: skip
+T = TypeVar("T")
 
 
-def identify(wire: CanWire) -> Identity:
-    """Identity object 1018h."""
+def identify(wire: CanWire, patience: float = 0.0) -> Identity:
+    """Identity object 1018h; a node that is busy is asked again for `patience` s."""
     numbers = []
     for sub in (1, 2, 3, 4):
         try:
-            numbers.append(int.from_bytes(wire.upload(0x1018, sub)[:4], "little"))
-        except AccessDenied:
+            data = patiently(partial(wire.upload, 0x1018, sub), patience, wire.let_pass)
+            numbers.append(int.from_bytes(data[:4], "little"))
+        except AccessDenied as error:
+            if error.busy:
+                raise
             numbers.append(0)
     vendor, product, revision, serial = (f"0x{number:08X}" for number in numbers)
     return Identity(vendor=vendor, product=product, revision=revision, serial=serial)
@@ -92,21 +103,14 @@ class CanopenBus:
         cycle = profile.cycle
         self._out = [_canopen(profile.parameters[name].address) for name in cycle.out]
         self._in = [_canopen(profile.parameters[name].address) for name in cycle.in_]
-        self._out_format = struct.Struct("<" + "".join(_CODE[a.type] for a in self._out))
-        self._in_format = struct.Struct("<" + "".join(_CODE[a.type] for a in self._in))
-        for what, layout in (("out", self._out_format), ("in", self._in_format)):
-            if layout.size > 8:
-                raise ProfileError(
-                    f"profile '{profile.name}': [cycle] {what} takes {layout.size} bytes; a PDO "
-                    "has 8"
-                )
-        self._rpdo = _Pdo(
+        self._widths: dict[CanopenAddress, int] = {}  # bytes, where they are not the profile's
+        self._rpdo = Pdo(
             0x1400 + cycle.rpdo - 1,
             _EVENT_DRIVEN,
             0x100 + 0x100 * cycle.rpdo + wire.node,
             self._out,
         )
-        self._tpdo = _Pdo(
+        self._tpdo = Pdo(
             0x1800 + cycle.tpdo - 1, _EVERY_SYNC, 0x80 + 0x100 * cycle.tpdo + wire.node, self._in
         )
         self._old: Objects = {}  # what was there before `start`
@@ -116,38 +120,82 @@ class CanopenBus:
         )
         self._idle: tuple[int, ...] = ()
         watchdog = profile.watchdog
-        self._heartbeat = 0x700 + watchdog.node if watchdog.kind == "heartbeat" else None
-        self._heartbeat_every = watchdog.timeout / 4
+        self._watched_by = watchdog.kind if watchdog.kind in ("heartbeat", "guarding") else ""
+        self._heartbeat = HEARTBEAT + watchdog.node
+        self._heartbeat_every = watchdog.timeout / GUARDS
         self._heartbeat_due = -1.0
         self._silence_allowed = 0.0  # s without a heartbeat of the node; 0: it has none
         if pace.stepping:
-            set_simulation(self.write, profile, "simulation_cycle", pace.cycle, self._is_twin)
+            self._simulate("simulation_cycle", pace.cycle)
+
+    def _simulate(self, name: Simulation, seconds: float) -> None:
+        """Let the clock of a drive that steps know."""
+
+        def write(address: Address, raw: int) -> None:
+            self._patiently(lambda: self.write(address, raw))
+
+        set_simulation(write, self._profile, name, seconds, self._is_twin)
 
     def _is_twin(self) -> bool:
         """Whether the device name 1008h is that of a virtual drive in another one's clothes."""
         try:
-            return self._wire.upload(0x1008, 0).startswith(b"twin of ")
+            return self._upload(0x1008, 0).startswith(b"twin of ")
         except AccessDenied:
             return False
 
+    def _patiently(self, action: Callable[[], T]) -> T:
+        """What `action` gives, asked again while the node says that it is busy."""
+        return patiently(action, self._profile.link.patience, self._wire.let_pass)
+
+    def _upload(self, index: int, sub: int) -> bytes:
+        return self._patiently(lambda: self._wire.upload(index, sub))
+
     def identify(self) -> Identity:
         """Ask the drive who it is."""
-        return identify(self._wire)
+        return identify(self._wire, self._profile.link.patience)
 
     def read(self, address: Address) -> int:
-        """Raw value by SDO; raises LinkError, AccessDenied."""
+        """Raw value by SDO, as wide as the drive has it; raises LinkError, AccessDenied."""
         at = _canopen(address)
         data = self._wire.upload(at.index, at.sub)
-        layout = struct.Struct("<" + _CODE[at.type])
-        if len(data) < layout.size:
-            raise LinkError(f"{at} has {len(data)} bytes in the drive, not {layout.size}")
-        value: int = layout.unpack_from(data)[0]
-        return value
+        width = struct.calcsize(code_of(at))
+        if len(data) != width and self._wire.is_sized:
+            if len(data) < min(width, 2) or len(data) not in (1, 2, 4, 8):
+                raise LinkError(
+                    f"{at} has {len(data)} byte{'s' * (len(data) != 1)} in the drive, and {width} in profile "
+                    f"'{self._profile.name}': does its value lie behind sub-index 1? Then it needs a profile "
+                    "of its own ('tworelay profile new')"
+                )
+            self._widths[at] = width = len(data)
+        elif len(data) < width:
+            raise LinkError(f"{at}: the answer has {len(data)} bytes, not {width}")
+        return int(struct.unpack_from("<" + code_of(at, width), data)[0])
+
+    def _packed(self, at: CanopenAddress, raw: int) -> bytes:
+        """A raw value, as wide as the drive has it; raises WriteDenied."""
+        try:
+            return struct.pack("<" + code_of(at, self._widths.get(at)), raw)
+        except struct.error:
+            raise WriteDenied(
+                f"{at}: {raw} does not fit into {self._widths.get(at, 0)} bytes, which the drive has for it"
+            ) from None
 
     def write(self, address: Address, raw: int) -> None:
         """Write a raw value by SDO; raises LinkError, WriteDenied."""
         at = _canopen(address)
-        self._wire.download(at.index, at.sub, struct.pack("<" + _CODE[at.type], raw))
+        width = self._widths.get(at)
+        try:
+            self._wire.download(at.index, at.sub, self._packed(at, raw))
+        except WriteDenied as error:
+            if not error.length:
+                raise
+            if width is None:
+                self.read(address)  # which tells how wide it is
+            else:
+                del self._widths[at]  # it tells one width, and takes another
+            if self._widths.get(at) == width:
+                raise
+            self._wire.download(at.index, at.sub, self._packed(at, raw))
 
     def post(self, address: Address, raw: int) -> None:
         """By RPDO where the value is mapped and the cycle runs, and by SDO; without waiting."""
@@ -156,8 +204,8 @@ class CanopenBus:
             frame = list(self._idle)
             frame[self._out.index(at)] = raw
             self._idle = tuple(frame)
-            self._wire.send(self._rpdo.cob_id, self._out_format.pack(*frame))
-        self._wire.post_download(at.index, at.sub, struct.pack("<" + _CODE[at.type], raw))
+            self._wire.send(self._rpdo.cob_id, self._rpdo.pack(self._idle))
+        self._wire.post_download(at.index, at.sub, self._packed(at, raw))
 
     def descriptor(self) -> int | None:
         """Of a serial adapter; other adapters are shared."""
@@ -174,7 +222,7 @@ class CanopenBus:
     def frame(self, address: Address, raw: int) -> bytes:
         """An SDO download as a serial adapter takes it."""
         at = _canopen(address)
-        data = struct.pack("<" + _CODE[at.type], raw)
+        data = self._packed(at, raw)
         return self._wire.serial_line(at.index, at.sub, data)
 
     # -- cycle -----------------------------------------------------------------------------------
@@ -189,29 +237,77 @@ class CanopenBus:
         if self._wire.awaits_sync:
             self._check_sync()
         self._wire.drain()
+        if self.in_real_time:
+            self._ask_for_heartbeat()
         if self._state_before is None:
             self._state_before = self._wire.heartbeat_state
         self._wire.nmt(NMT_PRE_OPERATIONAL)
         for pdo in (self._rpdo, self._tpdo):
             there = self._there(pdo.communication)
             wanted = pdo.wanted(there)
-            if not _agree(there, wanted):
+            if not agree(there, wanted):
                 self._old |= there | self._beyond(pdo, there)
-                self._configure(pdo.communication, wanted)
-                self._check_mapping(pdo)
+                self._set_up(pdo, there, wanted)
         self._wire.listen_tpdo(self._tpdo.cob_id)
-        if self.in_real_time:
-            self._ask_for_heartbeat()
         self._wire.nmt(NMT_OPERATIONAL)
         self._wire.restarted = False
         self._wire.heard_at = perf_counter()
         self._running = True
         self._beat()  # the drive watches from the first one on: before it is enabled, not after
 
+    def _set_up(self, pdo: Pdo, there: Objects, wanted: Objects) -> None:
+        """Map a PDO, as wide as the drive has its objects.
+
+        Where the drive keeps its own mapping, that one serves if it has what is needed. Raises WriteDenied,
+        PreflightRefused, ProfileError.
+        """
+        try:
+            self._map(pdo, wanted, there)
+        except WriteDenied as denied:
+            if self._is_wider(pdo):
+                pdo.plan(self._widths)
+                with contextlib.suppress(WriteDenied):
+                    self._map(pdo, pdo.wanted(there), None)
+                    return
+            with contextlib.suppress(AccessDenied):  # as far as it takes them
+                self._configure(
+                    pdo.communication,
+                    {**there, (pdo.communication, 2): pdo.transmission},
+                    self._there(pdo.communication),
+                )
+            kept = self._there(pdo.communication)
+            missing = pdo.missing_in(kept)
+            wrong = [f"it lacks {' '.join(missing)}"] if missing else []
+            if kept[pdo.communication, 1] & OFF:
+                wrong.append("it is switched off")
+            if kept[pdo.communication, 2] != pdo.transmission and pdo is self._tpdo:
+                wrong.append(f"its transmission type is {kept[pdo.communication, 2]}, and not 1")
+            if wrong:
+                raise PreflightRefused(
+                    f"the mapping of {pdo.mapping:04X}h cannot be changed ({denied}), and as it is "
+                    f"{' and '.join(wrong)}: map it with the drive's own software, or write a profile whose "
+                    "[cycle] says rpdo, tpdo, out and in as the drive has them"
+                ) from None
+            pdo.adopt(kept, self._uploaded)
+
+    def _map(self, pdo: Pdo, wanted: Objects, there: Objects | None) -> None:
+        self._configure(pdo.communication, wanted, there)
+        self._check_mapping(pdo)
+
+    def _is_wider(self, pdo: Pdo) -> bool:
+        """Whether the drive has an object of a PDO wider than the profile, or narrower; asks it."""
+        for at in pdo.mapped:
+            with contextlib.suppress(AccessDenied):  # what can only be written
+                self._patiently(partial(self.read, at))
+        return bool(self._widths.keys() & set(pdo.mapped))
+
+    def _uploaded(self, index: int, sub: int) -> int:
+        return int.from_bytes(self._upload(index, sub), "little")
+
     def _start_again(self) -> None:
         """A node that has lost our heartbeat is not operational any more (1029h:01 = 0)."""
         self._beat()
-        if self._heartbeat is None:
+        if not self._watched_by:
             return
         self.wait(_CONSUMER_BEGINS)
         self._heartbeat_due = -1.0
@@ -226,11 +322,11 @@ class CanopenBus:
         for pdo in (self._rpdo, self._tpdo):
             there = self._there(pdo.communication)
             wanted = pdo.wanted(there)
-            if not _agree(there, wanted):
+            if not agree(there, wanted):
                 there |= self._beyond(pdo, there)
-                found |= {_name(at): (old, wanted.get(at, 0)) for at, old in there.items()}
+                found |= {name_of(at): (old, wanted.get(at, 0)) for at, old in there.items()}
         if self.in_real_time and self._heartbeat_time() == 0:
-            found[_name(_HEARTBEAT_PRODUCER)] = 0, _HEARTBEAT_EVERY
+            found[name_of(HEARTBEAT_PRODUCER)] = 0, _HEARTBEAT_EVERY
         return found
 
     def put_back(self, old: dict[str, int]) -> bool:
@@ -240,13 +336,13 @@ class CanopenBus:
         for name, raw in old.items():  # from a journal, which anybody may have written
             match = _OBJECT.fullmatch(name)
             at = (int(match[1], 16), int(match[2], 16)) if match is not None else (0, 0)
-            if not (at == _HEARTBEAT_PRODUCER or at[0] & ~_MAPPING in ours):
+            if not (at == HEARTBEAT_PRODUCER or at[0] & ~MAPPING in ours):
                 raise UsageError(f"'{name}' is no parameter of the profile, and none of its PDOs")
-            if not 0 <= raw < 1 << 8 * _size(at):
-                raise UsageError(f"{name}: {raw} does not fit into {_size(at)} bytes")
+            if not 0 <= raw < 1 << 8 * size_of(at):
+                raise UsageError(f"{name}: {raw} does not fit into {size_of(at)} bytes")
             objects[at] = raw
-        for communication in {index & ~_MAPPING for index, _ in objects} & ours:
-            _complete(communication, objects)
+        for communication in {index & ~MAPPING for index, _ in objects} & ours:
+            complete(communication, objects)
         self._running = False
         return self._put_back(objects)
 
@@ -254,20 +350,20 @@ class CanopenBus:
         """Each PDO by itself, then the heartbeat; raises WriteFailed for those that are not back."""
         changed, failures = False, []
         for communication in (self._rpdo.communication, self._tpdo.communication):
-            part = {at: raw for at, raw in objects.items() if at[0] & ~_MAPPING == communication}
+            part = {at: raw for at, raw in objects.items() if at[0] & ~MAPPING == communication}
             try:
                 changed |= bool(part) and self._put_back_pdo(communication, part)
             except (AccessDenied, WriteFailed) as error:
                 failures.append(str(error))
-        every = objects.get(_HEARTBEAT_PRODUCER)
+        every = objects.get(HEARTBEAT_PRODUCER)
         if every is not None and self._heartbeat_time() not in (None, every):
             changed = True
             try:
-                self._download(_HEARTBEAT_PRODUCER, every)
+                self._download(HEARTBEAT_PRODUCER, every)
             except AccessDenied as error:
                 failures.append(str(error))
         command = _COMMANDS.get(self._state_before)
-        left = self._heartbeat is not None  # a node that hears none leaves 'operational' by itself
+        left = bool(self._watched_by)  # a node that hears nothing leaves 'operational' by itself
         if command is not None and (left or self._wire.nmt_commanded != command):
             self._wire.nmt(command)
         if failures:
@@ -277,64 +373,74 @@ class CanopenBus:
 
     def _put_back_pdo(self, communication: int, objects: Objects) -> bool:
         """False: it was as before. Raises AccessDenied, WriteFailed."""
-        mapping = communication + _MAPPING
+        mapping = communication + MAPPING
         unused = {
             at: raw
             for at, raw in objects.items()
             if at[0] == mapping and at[1] > objects[mapping, 0]
         }
         used = {at: raw for at, raw in objects.items() if at not in unused}
-        if self._there(communication) == used and all(
-            self._number(*at) == raw for at, raw in unused.items()
-        ):
+        there = self._there(communication)
+        lies = {at: raw for at, raw in unused.items() if self._number(*at) != raw}
+        if there == used and not lies:
             return False
         self._wire.nmt(NMT_PRE_OPERATIONAL)
-        self._configure(communication, used, unused)
+        self._configure(communication, used, there, lies)
         there = self._there(communication)
-        if not _agree(there, used):
-            wrong = [_name(at) for at, raw in used.items() if there.get(at) != raw]
+        if not agree(there, used):
+            wrong = [name_of(at) for at, raw in used.items() if there.get(at) != raw]
             raise WriteFailed(f"the drive did not take {', '.join(wrong)} back")
         return True
 
     def _there(self, communication: int) -> Objects:
         """Parameters of a PDO as the drive has them; entries only as far as they count."""
-        mapping = communication + _MAPPING
+        mapping = communication + MAPPING
         there = {(communication, sub): self._number(communication, sub) for sub in (1, 2)}
         count = there[mapping, 0] = self._number(mapping, 0)
         for sub in range(1, count + 1):
             there[mapping, sub] = self._number(mapping, sub)
         return there
 
-    def _beyond(self, pdo: _Pdo, there: Objects) -> Objects:
+    def _beyond(self, pdo: Pdo, there: Objects) -> Objects:
         """Entries of a mapping that do not count, as far as ours will lie there and they can be read."""
-        mapping, found = pdo.communication + _MAPPING, Objects()
+        mapping, found = pdo.communication + MAPPING, Objects()
         for sub in range(there[mapping, 0] + 1, len(pdo.entries) + 1):
             with contextlib.suppress(AccessDenied):
                 found[mapping, sub] = self._number(mapping, sub)
         return found
 
     def _configure(
-        self, communication: int, objects: Objects, unused: Objects | None = None
+        self,
+        communication: int,
+        objects: Objects,
+        there: Objects | None = None,
+        unused: Objects | None = None,
     ) -> None:
         """Write the parameters of one PDO in the order of CiA 301, 7.5.2.36: off, entries, on.
 
-        Of entries that do not count, what the drive does not take stays: it has no effect.
+        Of `unused` entries, which do not count, what the drive does not take stays: it has no effect. A
+        mapping that is `there` as it shall be is not written.
         """
-        mapping = communication + _MAPPING
+        mapping = communication + MAPPING
         number = objects[communication, 1]
-        self._download((communication, 1), number | _PDO_OFF)
+
+        def entries(of: Objects) -> Objects:
+            return {at: raw for at, raw in of.items() if at[0] == mapping}
+
+        self._download((communication, 1), number | OFF)
         self._download((communication, 2), objects[communication, 2])
-        self._download((mapping, 0), 0)
-        for sub in range(1, objects[mapping, 0] + 1):
-            self._download((mapping, sub), objects[mapping, sub])
-        for at, raw in (unused or {}).items():
-            with contextlib.suppress(AccessDenied):
-                self._download(at, raw)
-        self._download((mapping, 0), objects[mapping, 0])
+        if unused or there is None or entries(there) != entries(objects):
+            self._download((mapping, 0), 0)
+            for sub in range(1, objects[mapping, 0] + 1):
+                self._download((mapping, sub), objects[mapping, sub])
+            for at, raw in (unused or {}).items():
+                with contextlib.suppress(AccessDenied):
+                    self._download(at, raw)
+            self._download((mapping, 0), objects[mapping, 0])
         self._download((communication, 1), number)
 
-    def _check_mapping(self, pdo: _Pdo) -> None:
-        mapping = pdo.communication + _MAPPING
+    def _check_mapping(self, pdo: Pdo) -> None:
+        mapping = pdo.communication + MAPPING
         found = [self._number(mapping, sub + 1) for sub in range(len(pdo.entries))]
         if found != pdo.entries:
             raise WriteDenied(
@@ -343,10 +449,11 @@ class CanopenBus:
             )
 
     def _number(self, index: int, sub: int) -> int:
-        return int.from_bytes(self._wire.upload(index, sub)[: _size((index, sub))], "little")
+        return int.from_bytes(self._upload(index, sub)[: size_of((index, sub))], "little")
 
     def _download(self, at: tuple[int, int], raw: int) -> None:
-        self._wire.download(*at, raw.to_bytes(_size(at), "little"))
+        data = raw.to_bytes(size_of(at), "little")
+        self._patiently(lambda: self._wire.download(*at, data))
 
     def _check_sync(self) -> None:
         """See that SYNC comes as often as the cycle says; raises PreflightRefused."""
@@ -370,22 +477,27 @@ class CanopenBus:
     def _heartbeat_time(self) -> int | None:
         """Producer heartbeat time (1017h), ms; None: the node has none."""
         try:
-            return self._number(*_HEARTBEAT_PRODUCER)
+            return self._number(*HEARTBEAT_PRODUCER)
         except AccessDenied:
             return None
 
     def _ask_for_heartbeat(self) -> None:
-        """See that the node produces a heartbeat (1017h); one without it is known by its TPDO only."""
+        """See that the node produces a heartbeat (1017h), and hear one; without it its TPDO alone tells."""
         every = self._heartbeat_time()
         if every == 0:
             every = _HEARTBEAT_EVERY
             try:
-                self._download(_HEARTBEAT_PRODUCER, every)
+                self._download(HEARTBEAT_PRODUCER, every)
             except AccessDenied:
                 return
-            self._old[_HEARTBEAT_PRODUCER] = 0
-        if every is not None:
-            self._silence_allowed = _HEARTBEATS_MISSED * every / 1000
+            self._old[HEARTBEAT_PRODUCER] = 0
+        if every is None:
+            if self._watched_by == "guarding":  # whose answers are what heartbeats would be
+                self._silence_allowed = _HEARTBEATS_MISSED * _HEARTBEAT_EVERY / 1000
+            return
+        self._silence_allowed = _HEARTBEATS_MISSED * every / 1000
+        wire = self._wire
+        wire.pump_until(lambda: wire.heartbeat_state is not None, self._silence_allowed)
 
     def _supervise(self) -> None:
         """Raises LinkLost where the node has restarted, or fallen silent."""
@@ -408,7 +520,7 @@ class CanopenBus:
     def exchange(self, values: tuple[int, ...]) -> Exchange:
         """Command by RPDO now, SYNC at the deadline, feedback by TPDO."""
         wire, pace = self._wire, self._pace
-        payload = self._out_format.pack(*values)
+        payload = self._rpdo.pack(values)
         missed = 0
         if wire.awaits_sync:
             wire.drain()
@@ -430,10 +542,8 @@ class CanopenBus:
                 time = pace.now()
                 wire.send(SYNC, b"")
             data = wire.take_tpdo(self._deadline)
-            if data is not None and len(data) >= self._in_format.size:
-                return Exchange(
-                    self._in_format.unpack_from(data), values, sent, time, lateness, missed
-                )
+            if data is not None and len(data) >= self._tpdo.size:
+                return Exchange(self._tpdo.unpack(data), values, sent, time, lateness, missed)
             missed, lost = missed + 1, lost + 1
             if lost >= MISSED_CYCLES:
                 raise LinkLost(
@@ -442,11 +552,15 @@ class CanopenBus:
                 )
 
     def _beat(self) -> None:
-        """Our heartbeat, where the drive watches it and it is due."""
+        """Our sign of life, where the drive watches it and it is due: a heartbeat, or a guard's request."""
         now = self._pace.now()
-        if self._heartbeat is not None and now >= self._heartbeat_due:
+        if not self._watched_by or now < self._heartbeat_due:
+            return
+        if self._watched_by == "heartbeat":
             self._wire.send(self._heartbeat, bytes((_STATE_OPERATIONAL,)))
-            self._heartbeat_due = now + self._heartbeat_every
+        else:
+            self._wire.guard()
+        self._heartbeat_due = now + self._heartbeat_every
 
     def _last_word(self) -> str:
         """What the node or the adapter said last, as far as it explains a silence."""
@@ -461,7 +575,7 @@ class CanopenBus:
     def wait(self, seconds: float) -> None:
         """Let time pass; on a stepping drive, by asking it to."""
         if self._pace.stepping:
-            set_simulation(self.write, self._profile, "simulation_advance", seconds, self._is_twin)
+            self._simulate("simulation_advance", seconds)
         self._pace.pass_time(seconds)
         if self._running and self.in_real_time:
             self._wire.drain()
@@ -499,68 +613,10 @@ class CanopenBus:
             self._wire.close()
 
 
-class _Pdo:
-    """A PDO and what it is to carry; its COB-ID once it is known."""
-
-    def __init__(
-        self, communication: int, transmission: int, default_id: int, mapped: list[CanopenAddress]
-    ) -> None:
-        self.communication = communication
-        self.transmission = transmission
-        self.default_id = default_id
-        self.entries = [a.index << 16 | a.sub << 8 | WIDTH_BITS[a.type] for a in mapped]
-        self.cob_id = 0
-
-    def wanted(self, there: Objects) -> Objects:
-        """Its parameters, with the COB-ID that the drive has for it, where it has one."""
-        communication, mapping = self.communication, self.communication + _MAPPING
-        number = there[communication, 1]
-        self.cob_id = number & 0x7FF or self.default_id
-        return {
-            (communication, 1): number & _PDO_FLAGS | self.cob_id,
-            (communication, 2): self.transmission,
-            (mapping, 0): len(self.entries),
-            **{(mapping, n): entry for n, entry in enumerate(self.entries, 1)},
-        }
-
-
 def sync_period(arrivals: list[float]) -> float:
     """Period of messages, s, to 0.1 ms; late arrivals count little (slope of Theil and Sen)."""
     pairs = combinations(enumerate(arrivals), 2)
     return round(median((after - before) / (n - m) for (m, before), (n, after) in pairs), 4)
-
-
-def _agree(there: Objects, wanted: Objects) -> bool:
-    """Whether the drive has a PDO as it is wanted; flags that are not ours do not count."""
-    return there.keys() == wanted.keys() and all(
-        there[at] == raw
-        or (at[1] == 1 and not at[0] & _MAPPING and not (there[at] | raw) & _PDO_OFF)
-        for at, raw in wanted.items()
-    )
-
-
-def _size(at: tuple[int, int]) -> int:
-    """Bytes of an object (CiA 301, 7.5.2)."""
-    index, sub = at
-    if at == _HEARTBEAT_PRODUCER:
-        return 2
-    if sub == 0 or (sub == 2 and not index & _MAPPING):
-        return 1  # number of entries, transmission type
-    return 4
-
-
-def _complete(communication: int, objects: Objects) -> None:
-    """Raise UsageError where the journal does not hold all of a PDO."""
-    mapping = communication + _MAPPING
-    wanted = [(communication, 1), (communication, 2), (mapping, 0)]
-    wanted += [(mapping, sub) for sub in range(1, objects.get((mapping, 0), 0) + 1)]
-    for at in wanted:
-        if at not in objects:
-            raise UsageError(f"the journal holds only a part of a PDO: {_name(at)} is missing")
-
-
-def _name(at: tuple[int, int]) -> str:
-    return f"{at[0]:04X}h:{at[1]:02X}"
 
 
 def _canopen(address: Address) -> CanopenAddress:

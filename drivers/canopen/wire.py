@@ -24,8 +24,9 @@ from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.canopen import bus_state
+from drivers.patience import patiently
 from drivers.serial_port import SerialPort, Stream
-from profiles.errors import AccessDenied, LinkError, LinkLost, UsageError, WriteDenied
+from profiles.errors import AccessDenied, LinkError, LinkLost, NoAnswer, UsageError, WriteDenied
 
 __all__ = ["CanWire", "NoAnswer", "open_bus"]
 
@@ -39,8 +40,10 @@ NMT = 0x000
 BOOT_UP = 0x00  # as a heartbeat's state (CiA 301, 7.2.8.3.3)
 _WITH_MULTIPLEXER = (2, 3, 4)  # SDO server: upload and download begin, abort (CiA 301, 7.2.4.3)
 # SDO abort codes for what may go a little later: of the application, local control, the device's state
+_WRONG_LENGTH = 0x06070010, 0x06070012, 0x06070013
 _MISSING = 0x06020000, 0x06090011  # object, sub-index
 _BUSY = 0x08000020, 0x08000021, 0x08000022
+_UNSIZED = 0x42  # an expedited upload that does not tell how many of its bytes count
 _NO_OBJECT = b"\0\0\0"  # some drives abort so
 _SEGMENT, _LARGEST_OBJECT = 7, 5_000_000  # bytes; the largest object is an EDS (1021h)
 _POST_ANSWER = 0.05  # s that the answer to a posted download may take
@@ -49,10 +52,6 @@ _FRAMES = (b"t", b"T", b"r", b"R", b"x")  # lines of slcan that are frames; x: C
 _LONGEST_LINE = 4096  # bytes without an end: no adapter of this kind
 
 Trace = Callable[[bool, int, bytes], None]
-
-
-class NoAnswer(LinkError):
-    """The time-out of one request has passed."""
 
 
 def open_bus(interface: str, channel: str, bitrate: int, timeout: float) -> can.BusABC:
@@ -228,6 +227,7 @@ class CanWire:
     foreign_master : COB-ID of a frame that only another master would send, or None
     syncs : SYNC messages of another producer, since this was last set to 0
     awaits_sync : another device of the bus produces SYNC, and so paces the cycle
+    is_sized : the last answer of the node told how many of its bytes count
     garbled : frames that could not be read
     error_frames : that the adapter reported
     descriptor : of a serial adapter, or None
@@ -254,6 +254,7 @@ class CanWire:
         self.foreign_master: int | None = None
         self.syncs = 0
         self.garbled = 0
+        self.is_sized = True
         self.error_frames = 0
         self._bus = bus
         self._trace = trace
@@ -293,14 +294,32 @@ class CanWire:
 
     def send(self, cob_id: int, data: bytes) -> None:
         """Send one frame; raises LinkLost."""
-        message = can.Message(arbitration_id=cob_id, data=data, is_extended_id=False)
+        self._transmit(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
+        if self._trace is not None:
+            self._trace(True, cob_id, data)
+
+    def _transmit(self, message: can.Message) -> None:
         try:
             self._bus.send(message, timeout=0.1)
         except (can.CanError, OSError, ValueError) as error:
             reason = self.bus_trouble or _first_line(error)
             raise LinkLost(f"cannot send on the CAN bus: {reason}") from None
-        if self._trace is not None:
-            self._trace(True, cob_id, data)
+
+    @property
+    def can_guard(self) -> bool:
+        """Whether the adapter sends remote frames; the socketcand protocol has none."""
+        return not isinstance(self._bus, SocketCanDaemonBus)
+
+    def guard(self) -> None:
+        """Ask the node for its state by a remote frame, as a master that guards it; raises LinkLost."""
+        self._transmit(
+            can.Message(
+                arbitration_id=HEARTBEAT + self.node,
+                is_remote_frame=True,
+                dlc=1,
+                is_extended_id=False,
+            )
+        )
 
     send_message = send  # the name under which canopen's SDO client knows it
 
@@ -365,6 +384,11 @@ class CanWire:
                 time.sleep(0.0002)  # a dead adapter returns at once, and for ever
         return True
 
+    def let_pass(self, seconds: float = 0.05) -> float:
+        """Take frames for some time of the wall, s: as long as a busy node is left alone."""
+        self.pump_until(lambda: False, seconds)
+        return seconds
+
     def await_sync(self, timeout: float) -> bool:
         """Wait for another producer's SYNC, at most `timeout` s; False: it did not come."""
         return self.pump_until(lambda: self.syncs > 0, timeout)
@@ -398,10 +422,10 @@ class CanWire:
         ):
             return self._whole(stream)
 
-    def has(self, index: int, sub: int) -> bool:
-        """Whether the node has an object; raises NoAnswer."""
+    def has(self, index: int, sub: int, patience: float) -> bool:
+        """Whether the node has an object; one that is busy is asked for `patience` s. Raises NoAnswer."""
         try:
-            self.upload(index, sub)
+            patiently(lambda: self.upload(index, sub), patience, self.let_pass)
         except AccessDenied as error:
             return not error.missing
         return True
@@ -465,6 +489,7 @@ class CanWire:
                 f"{index:04X}h:{sub:02X}: node {self.node} refuses it: {text} ({error.code:08X}h)",
                 busy=error.code in _BUSY,
                 missing=error.code in _MISSING,
+                length=error.code in _WRONG_LENGTH,
             ) from None
         except SdoCommunicationError as error:
             raise NoAnswer(
@@ -517,6 +542,7 @@ class _PumpedSdo(SdoClient):
 
     def take(self, data: bytes) -> None:
         """An answer; one about another object came late, or twice, and is nobody's any more."""
+        self._wire.is_sized = data[0] & 0xE3 != _UNSIZED
         begins = data[0] >> 5 in _WITH_MULTIPLEXER
         if not self.about or not begins or data[1:4] in (self.about, _NO_OBJECT):
             self.responses.put(data)

@@ -22,7 +22,7 @@ from pymodbus.pdu.register_message import (
 from drivers.modbus.wires import RtuLine, TcpWire, Wire
 from drivers.pace import Silence
 from drivers.serial_port import SerialPort, Stream
-from profiles.errors import AccessDenied, LinkError, LinkLost
+from profiles.errors import AccessDenied, LinkError, LinkLost, NoAnswer
 
 __all__ = ["POST_ANSWER", "Client", "ExceptionAnswer", "NoAnswer"]
 
@@ -55,10 +55,6 @@ class ExceptionAnswer(AccessDenied):
     def __init__(self, message: str, code: int) -> None:
         super().__init__(message, busy=code in _BUSY)
         self.code = code
-
-
-class NoAnswer(LinkError):
-    """The time-out of one request has passed; the next one may be answered."""
 
 
 class Client:

@@ -259,7 +259,9 @@ def configured(name: str, options: dict[str, str]) -> VirtualAxis:
         elif key in _OPTIONS:
             changes[key] = _number(key, text, float)
         else:
-            raise UnknownName("option of a virtual axis", key, [*_OPTIONS, "seed", "state"])
+            raise UnknownName(
+                "option of a virtual axis", key, [*_OPTIONS, "seed", "state", "habit"]
+            )
     axis = replace(AXES[name], **changes)  # type: ignore[arg-type]
     for key in ("encoder", "cycle", "rated", "peak", "speed", "travel"):
         if not getattr(axis, key) > 0:

@@ -25,7 +25,8 @@ class CanChannel:
         while not self._end.is_set():
             message = self._bus.recv(0.002)
             if message is not None:
-                self._send(self._node.receive(message.arbitration_id, bytes(message.data)))
+                cob_id, remote = message.arbitration_id, message.is_remote_frame
+                self._send(self._node.receive(cob_id, bytes(message.data), remote=remote))
             self._send(self._node.poll())
 
     def _send(self, frames: list[Frame]) -> None:

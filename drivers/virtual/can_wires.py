@@ -36,12 +36,15 @@ class CanBus:
         """Remove a client."""
         self._clients.remove(deliver)
 
-    def transmit(self, frame: Frame, origin: Deliver | None) -> None:
-        """A client sends; the others and the node hear it, and the node's answers go to all."""
+    def transmit(self, frame: Frame, origin: Deliver | None, *, remote: bool = False) -> None:
+        """A client sends; the others and the node hear it, and the node's answers go to all.
+
+        `remote`: it asks for a frame, which is the node's alone.
+        """
         for client in self._clients:
-            if client is not origin:
+            if client is not origin and not remote:
                 client(frame)
-        self._spread(self.node.receive(frame.cob_id, frame.data))
+        self._spread(self.node.receive(frame.cob_id, frame.data, remote=remote))
 
     def poll(self) -> None:
         """Let the node's timers run."""
@@ -78,17 +81,19 @@ class SlcanPty:
 
     def _line(self, line: bytes) -> None:
         command = line[:1]
-        if command == b"t" and self._open:
+        if command in (b"t", b"r") and self._open:
+            remote = command == b"r"
             try:
                 length = int(line[4:5])
-                frame = Frame(int(line[1:4], 16), bytes.fromhex(line[5 : 5 + 2 * length].decode()))
+                data = b"" if remote else bytes.fromhex(line[5 : 5 + 2 * length].decode())
+                frame = Frame(int(line[1:4], 16), data)
             except ValueError:
                 self._write(b"\a")
                 return
-            if length > 8 or len(frame.data) != length:
+            if length > 8 or (len(data) != length and not remote):
                 self._write(b"\a")
             else:
-                self._bus.transmit(frame, self._deliver)
+                self._bus.transmit(frame, self._deliver, remote=remote)
         elif command in (b"O", b"L"):
             self._open = True
         elif command == b"C":

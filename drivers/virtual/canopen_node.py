@@ -23,13 +23,17 @@ from drivers.virtual.firmware import (
 from drivers.virtual.mirror import Entry, Mirror
 from drivers.virtual.own_eds import own_eds
 
-__all__ = ["CanopenNode", "Frame"]
+__all__ = ["Abort", "CanopenNode", "Frame", "Pdo"]
 
 _MS = 1_000_000  # ns
 
 _PRE_OPERATIONAL, _OPERATIONAL, _STOPPED = 0x7F, 0x05, 0x04
 _AFTER_AN_ERROR = {0: _PRE_OPERATIONAL, 2: _STOPPED}  # by 1029h:01
 _OFF = 1 << 31
+_IDENTIFIER = (1 << 30) - 1  # of a COB-ID: may not change while the PDO exists
+_EVENT = 254  # transmission types from here on are event-driven
+_RESERVED = range(241, 254)  # and those that only a remote frame asks for, which it does not answer
+_INHIBIT = 100_000  # ns a step
 
 # CiA 301, SDO abort codes
 _STORED_EDS = 0x1021
@@ -54,7 +58,9 @@ class Frame(NamedTuple):
     data: bytes
 
 
-class _Abort(Exception):
+class Abort(Exception):
+    """The SDO server refuses an access, with a code of CiA 301."""
+
     def __init__(self, code: int) -> None:
         super().__init__(f"{code:08X}h")
         self.code = code
@@ -69,14 +75,16 @@ _DENIALS = {
 
 
 @dataclass
-class _Pdo:
+class Pdo:
     """Communication and mapping parameters of one PDO."""
 
     cob_id: int
     transmission: int
     entries: list[int]
     event_timer: int = 0  # ms
+    inhibit: int = 0  # 100 us, least time between two
     count: int = 0
+    sent: bytes | None = None  # what it said last
     slots: list[int] = field(default_factory=lambda: [0] * 8)
     pending: bytes | None = None
     since: int = 0  # ns, last sent or received
@@ -89,6 +97,7 @@ class _Pdo:
 
     @property
     def active(self) -> bool:
+        """Whether it exists (CiA 301, 7.5.2.35)."""
         return not self.cob_id & _OFF
 
     def mapped(self, dictionary: Dictionary) -> list[tuple[Entry, int]]:
@@ -105,10 +114,16 @@ class CanopenNode:
     `dictionary`: the objects that it has; another drive's make it that drive's twin.
     """
 
-    def __init__(self, device: Device, node_id: int, dictionary: Dictionary = OWN) -> None:
+    def __init__(
+        self,
+        device: Device,
+        node_id: int,
+        dictionary: Dictionary = OWN,
+        mirror: Mirror | None = None,
+    ) -> None:
         self.device = device
         self._dictionary = dictionary
-        self._mirror = Mirror(device)
+        self._mirror = mirror or Mirror(device)
         self.node_id = node_id
         self.state = _PRE_OPERATIONAL
         self._producer = 0  # ms, object 1017h
@@ -129,22 +144,24 @@ class CanopenNode:
     def _reset_pdos(self) -> None:
         n = self.node_id
         self._rpdos = [
-            _Pdo(0x200 + n, 255, [0x60400010]),
-            _Pdo(_OFF | 0x300 + n, 255, [0x60400010, 0x60600008]),
+            Pdo(0x200 + n, 255, [0x60400010]),
+            Pdo(_OFF | 0x300 + n, 255, [0x60400010, 0x60600008]),
         ]
         self._tpdos = [
-            _Pdo(0x180 + n, 255, [0x60410010]),
-            _Pdo(_OFF | 0x280 + n, 255, [0x60410010, 0x60610008]),
+            Pdo(0x180 + n, 255, [0x60410010]),
+            Pdo(_OFF | 0x280 + n, 255, [0x60410010, 0x60610008]),
         ]
 
     def boot(self) -> list[Frame]:
         """Boot-up message."""
         return [Frame(0x700 + self.node_id, b"\0")]
 
-    def receive(self, cob_id: int, data: bytes) -> list[Frame]:
-        """Take one frame from the bus."""
+    def receive(self, cob_id: int, data: bytes, *, remote: bool = False) -> list[Frame]:
+        """Take one frame from the bus; those that ask for data it does not answer."""
         device = self.device
         device.catch_up()
+        if remote:
+            return []
         if cob_id == 0x000 and len(data) == 2 and data[1] in (0, self.node_id):
             self._nmt(data[0])
         elif cob_id == 0x080:
@@ -217,17 +234,21 @@ class CanopenNode:
                 self.device.firmware.communication_lost(ERROR_PDO_TIMEOUT)
         if self.state == _OPERATIONAL:
             for pdo in self._tpdos:
-                if (
-                    pdo.active
-                    and pdo.transmission >= 254
-                    and pdo.event_timer
-                    and now - pdo.since >= pdo.event_timer * _MS
-                ):
-                    self._send_tpdo(pdo)
+                if pdo.active and pdo.transmission >= _EVENT:
+                    self._event(pdo, now - pdo.since)
+
+    def _event(self, pdo: Pdo, since: int) -> None:
+        """Send an event-driven TPDO whose values have changed, or whose event timer has run out.
+
+        `since`: it was sent last, ns.
+        """
+        changed = since >= pdo.inhibit * _INHIBIT and self._packed(pdo) != pdo.sent
+        if changed or (pdo.event_timer and since >= pdo.event_timer * _MS):
+            self._send_tpdo(pdo)
 
     # -- PDO -----------------------------------------------------------------------------------------
 
-    def _take_rpdo(self, pdo: _Pdo, data: bytes) -> None:
+    def _take_rpdo(self, pdo: Pdo, data: bytes) -> None:
         pdo.since = self.device.firmware.now
         pdo.armed = True
         if pdo.transmission <= 240:
@@ -235,25 +256,20 @@ class CanopenNode:
         else:
             self._apply(pdo, data)
 
-    def _apply(self, pdo: _Pdo, data: bytes) -> None:
-        if len(data) < sum(length for _, length in pdo.mapped(self._dictionary)):
+    def _apply(self, pdo: Pdo, data: bytes) -> None:
+        wanted = sum(length for _, length in pdo.mapped(self._dictionary))
+        if len(data) < wanted:
             self._emergency(0x8210)  # PDO not processed: length
             return
+        if len(data) > wanted:
+            self._emergency(0x8220)  # PDO length exceeded
         for entry, length in pdo.mapped(self._dictionary):
             value = struct.unpack("<" + entry.code, data[:length])[0]
             data = data[length:]
             try:
-                self._set(entry, value)
+                self._mirror.set(entry, value)
             except Denied:
-                self._emergency(0x8220)
-
-    def _value(self, entry: Entry) -> float:
-        """What an object says."""
-        return self._mirror.value(entry)
-
-    def _set(self, entry: Entry, value: float) -> None:
-        """Write an object; raises Denied."""
-        self._mirror.set(entry, value)
+                self._emergency(0x6320)  # parameter error
 
     def _sync(self) -> None:
         if self.state != _OPERATIONAL:
@@ -271,13 +287,16 @@ class CanopenNode:
                     pdo.syncs = 0
                     self._send_tpdo(pdo)
 
-    def _send_tpdo(self, pdo: _Pdo) -> None:
+    def _send_tpdo(self, pdo: Pdo) -> None:
         pdo.since = self.device.firmware.now
-        data = b"".join(
-            struct.pack("<" + entry.code, self._value(entry))
+        pdo.sent = self._packed(pdo)
+        self._send(pdo.cob_id & 0x7FF, pdo.sent)
+
+    def _packed(self, pdo: Pdo) -> bytes:
+        return b"".join(
+            struct.pack("<" + entry.code, self._mirror.value(entry))
             for entry, _ in pdo.mapped(self._dictionary)
         )
-        self._send(pdo.cob_id & 0x7FF, data)
 
     # -- SDO server ----------------------------------------------------------------------------------
 
@@ -300,8 +319,8 @@ class CanopenNode:
             elif specifier == 4:
                 self._upload = self._download = self._block = None
             else:
-                raise _Abort(_ABORT_COMMAND)
-        except _Abort as abort:
+                raise Abort(_ABORT_COMMAND)
+        except Abort as abort:
             self._upload = self._download = self._block = None
             self._answer(struct.pack("<BHBI", 0x80, index, sub, abort.code))
 
@@ -319,9 +338,9 @@ class CanopenNode:
 
     def _upload_segment(self, command: int) -> None:
         if self._upload is None:
-            raise _Abort(_ABORT_COMMAND)
+            raise Abort(_ABORT_COMMAND)
         if command >> 4 & 1 != self._toggle:
-            raise _Abort(_ABORT_TOGGLE)
+            raise Abort(_ABORT_TOGGLE)
         part, rest = self._upload[:7], self._upload[7:]
         last = 0 if rest else 1
         self._answer(bytes((self._toggle << 4 | (7 - len(part)) << 1 | last,)) + part)
@@ -333,12 +352,12 @@ class CanopenNode:
         if command == 0:  # initiate: block size in byte 4
             value = self._read(index, sub)
             if not 1 <= data[4] <= 127:
-                raise _Abort(_ABORT_BLOCK_SIZE)
+                raise Abort(_ABORT_BLOCK_SIZE)
             self._block = BlockUpload(value, data[4])
             self._answer(struct.pack("<BHBI", 0xC6, index, sub, len(value)))
             return
         if block is None:
-            raise _Abort(_ABORT_COMMAND)
+            raise Abort(_ABORT_COMMAND)
         if command == 3:
             segments = block.block()
         elif command == 2 and not block.ended:
@@ -347,7 +366,7 @@ class CanopenNode:
             self._block = None
             return
         else:
-            raise _Abort(_ABORT_COMMAND)
+            raise Abort(_ABORT_COMMAND)
         for segment in segments:
             self._answer(segment)
 
@@ -363,18 +382,18 @@ class CanopenNode:
 
     def _download_segment(self, data: bytes) -> None:
         if self._download is None:
-            raise _Abort(_ABORT_COMMAND)
+            raise Abort(_ABORT_COMMAND)
         command = data[0]
         if command >> 4 & 1 != self._toggle:
-            raise _Abort(_ABORT_TOGGLE)
+            raise Abort(_ABORT_TOGGLE)
         index, sub, collected = self._download
         collected += data[1 : 8 - (command >> 1 & 7)]
         if len(collected) > 1024:
-            raise _Abort(_ABORT_LENGTH)
+            raise Abort(_ABORT_LENGTH)
         if command & 1:
             self._download = None
             if self._declared not in (None, len(collected)):
-                raise _Abort(_ABORT_LENGTH)
+                raise Abort(_ABORT_LENGTH)
             self._write(index, sub, bytes(collected), sized=True)
         self._answer(bytes((0x20 | self._toggle << 4,)))
         self._toggle ^= 1
@@ -385,11 +404,11 @@ class CanopenNode:
         entry = self._dictionary.objects.get((index, sub))
         if entry is not None:
             if entry.access == "wo":
-                raise _Abort(_ABORT_WRITE_ONLY)
+                raise Abort(_ABORT_WRITE_ONLY)
             try:
-                value = self._value(entry)
+                value = self._mirror.value(entry)
             except Denied as denied:
-                raise _Abort(_DENIALS[denied.reason]) from None
+                raise Abort(_DENIALS[denied.reason]) from None
             return struct.pack("<" + entry.code, value)
         pdo = self._pdo(index)
         if pdo is not None:
@@ -417,7 +436,7 @@ class CanopenNode:
         }
         found = plain.get((index, sub))
         if found is None or index in self._dictionary.lacks:
-            raise _Abort(self._missing(index))
+            raise Abort(self._missing(index))
         return found
 
     def _missing(self, index: int) -> int:
@@ -429,21 +448,21 @@ class CanopenNode:
         entry = self._dictionary.objects.get((index, sub))
         if entry is not None:
             if entry.access == "ro":
-                raise _Abort(_ABORT_READ_ONLY)
+                raise Abort(_ABORT_READ_ONLY)
             value = self._number(data, entry.code, sized=sized)
             try:
-                self._set(entry, value)
+                self._mirror.set(entry, value)
             except Denied as denied:
-                raise _Abort(_DENIALS[denied.reason]) from None
+                raise Abort(_DENIALS[denied.reason]) from None
             return
         pdo = self._pdo(index)
         if index in self._dictionary.lacks:
-            raise _Abort(_ABORT_NO_OBJECT)
+            raise Abort(_ABORT_NO_OBJECT)
         if pdo is not None:
             self._write_pdo(pdo, index, sub, data)
         elif (index, sub) == (0x1010, 1):
             if data != b"save":
-                raise _Abort(_ABORT_RANGE)
+                raise Abort(_ABORT_RANGE)
             self._to_device("store_command", 1)
         elif (index, sub) == (0x1016, 1):
             value = self._number(data, "I", sized=sized)
@@ -453,7 +472,7 @@ class CanopenNode:
         elif (index, sub) == (0x1029, 1):
             value = self._number(data, "B", sized=sized)
             if value > 2:
-                raise _Abort(_ABORT_RANGE)
+                raise Abort(_ABORT_RANGE)
             self._error_behaviour = value
         elif (index, sub) == (0x1017, 0):
             self._producer = self._number(data, "H", sized=sized)
@@ -462,24 +481,24 @@ class CanopenNode:
             known = True
             try:
                 self._read(index, sub)
-            except _Abort:
+            except Abort:
                 known = False
-            raise _Abort(_ABORT_READ_ONLY if known else self._missing(index))
+            raise Abort(_ABORT_READ_ONLY if known else self._missing(index))
 
     def _to_device(self, key: str, value: int) -> None:
         try:
             self.device.write(key, value)
         except Denied as denied:
-            raise _Abort(_DENIALS[denied.reason]) from None
+            raise Abort(_DENIALS[denied.reason]) from None
 
     @staticmethod
     def _number(data: bytes, code: str, *, sized: bool) -> int:
         size = struct.calcsize("<" + code)
         if sized and len(data) != size:
-            raise _Abort(_ABORT_LENGTH)
+            raise Abort(_ABORT_LENGTH)
         return int(struct.unpack("<" + code, data[:size])[0])
 
-    def _pdo(self, index: int) -> _Pdo | None:
+    def _pdo(self, index: int) -> Pdo | None:
         for base, pdos in (
             (0x1400, self._rpdos),
             (0x1600, self._rpdos),
@@ -491,58 +510,68 @@ class CanopenNode:
         return None
 
     @staticmethod
-    def _read_pdo(pdo: _Pdo, index: int, sub: int) -> bytes:
+    def _read_pdo(pdo: Pdo, index: int, sub: int) -> bytes:
         if index & 0x0200:
             if sub == 0:
                 return bytes((pdo.count,))
             if sub > len(pdo.slots):
-                raise _Abort(_ABORT_NO_SUB)
+                raise Abort(_ABORT_NO_SUB)
             return struct.pack("<I", pdo.slots[sub - 1])
         try:
             return {
                 0: b"\x05",
                 1: struct.pack("<I", pdo.cob_id),
                 2: bytes((pdo.transmission,)),
+                3: struct.pack("<H", pdo.inhibit),
                 5: struct.pack("<H", pdo.event_timer),
             }[sub]
         except KeyError:
-            raise _Abort(_ABORT_NO_SUB) from None
+            raise Abort(_ABORT_NO_SUB) from None
 
-    def _write_pdo(self, pdo: _Pdo, index: int, sub: int, data: bytes) -> None:
+    def _write_pdo(self, pdo: Pdo, index: int, sub: int, data: bytes) -> None:
         value = int.from_bytes(data, "little")
         if index & 0x0200:
             self._write_mapping(pdo, sub, value)
         elif sub == 1:
+            if pdo.active and not value & _OFF and (pdo.cob_id ^ value) & _IDENTIFIER:
+                raise Abort(_ABORT_RANGE)
             pdo.cob_id = value
             pdo.armed = False
+            pdo.sent = None
         elif sub == 2:
+            if value in _RESERVED:
+                raise Abort(_ABORT_RANGE)
             pdo.transmission = value & 0xFF
+        elif sub == 3:
+            if pdo.active:
+                raise Abort(_ABORT_STATE)
+            pdo.inhibit = value & 0xFFFF
         elif sub == 5:
             pdo.event_timer = value & 0xFFFF
         else:
-            raise _Abort(_ABORT_NO_SUB if sub else _ABORT_READ_ONLY)
+            raise Abort(_ABORT_NO_SUB if sub else _ABORT_READ_ONLY)
 
-    def _write_mapping(self, pdo: _Pdo, sub: int, value: int) -> None:
+    def _write_mapping(self, pdo: Pdo, sub: int, value: int) -> None:
         if pdo.active:
-            raise _Abort(_ABORT_STATE)
+            raise Abort(_ABORT_STATE)
         if sub == 0:
             if value > len(pdo.slots) or any(
                 (slot >> 16, slot >> 8 & 0xFF) not in self._dictionary.objects
                 for slot in pdo.slots[:value]
             ):
-                raise _Abort(_ABORT_NOT_MAPPABLE)
+                raise Abort(_ABORT_NOT_MAPPABLE)
             if sum(slot & 0xFF for slot in pdo.slots[:value]) > 64:
-                raise _Abort(_ABORT_PDO_LENGTH)
+                raise Abort(_ABORT_PDO_LENGTH)
             pdo.count = value
             return
         if sub > len(pdo.slots):
-            raise _Abort(_ABORT_NO_SUB)
+            raise Abort(_ABORT_NO_SUB)
         if pdo.count:
-            raise _Abort(_ABORT_STATE)
+            raise Abort(_ABORT_STATE)
         if value == 0:  # an entry of nothing, which may not be counted
             pdo.slots[sub - 1] = value
             return
         entry = self._dictionary.objects.get((value >> 16, value >> 8 & 0xFF))
         if entry is None or struct.calcsize("<" + entry.code) * 8 != value & 0xFF:
-            raise _Abort(_ABORT_NOT_MAPPABLE)
+            raise Abort(_ABORT_NOT_MAPPABLE)
         pdo.slots[sub - 1] = value

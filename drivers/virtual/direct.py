@@ -13,6 +13,7 @@ from drivers.drive import Exchange
 from drivers.serial_port import Stream
 from drivers.virtual.device import Device
 from drivers.virtual.firmware import SECOND, Denied
+from drivers.virtual.habits import NONE, Habits
 from drivers.virtual.modbus_identity import PRODUCT, REVISION, VENDOR
 from drivers.virtual.registers import RegisterMap
 from profiles.errors import AccessDenied, UsageError, WriteDenied
@@ -33,11 +34,12 @@ class DirectBus:
 
     lacking: tuple[str, ...] = ()  # its profile says all that there is
 
-    def __init__(self, device: Device, profile: Profile) -> None:
+    def __init__(self, device: Device, profile: Profile, habits: Habits = NONE) -> None:
         self.device = device
         self.cycle = device.cycle / SECOND
         self.in_real_time = False
-        self._map = RegisterMap(device)
+        self._map = RegisterMap(device, habits=habits)
+        self._is_habitual = bool(habits.values)
         self._firmware = device.firmware
         if profile.name != "virtual-modbus":
             raise UsageError(
@@ -112,6 +114,8 @@ class DirectBus:
         """One cycle: command in force, its time passed, feedback latched."""
         firmware = self._firmware
         sent = firmware.now / SECOND
+        if self._is_habitual:
+            return self._habitual_exchange(values, sent)
         if self._mode_is_torque:
             firmware.command_torque(values[0])
         else:
@@ -122,6 +126,16 @@ class DirectBus:
         firmware.advance(self.device.cycle)
         feedback = (firmware.statusword, firmware.error_code, firmware.position, firmware.torque)
         return _new(Exchange, (feedback, values, sent, firmware.now / SECOND, 0.0, 0))
+
+    def _habitual_exchange(self, values: tuple[int, ...], sent: float) -> Exchange:
+        """The same through the registers, where habits are."""
+        cycle = self._profile.cycle
+        known = self._profile.parameters
+        for name, raw in zip(cycle.out, values, strict=True):
+            self.write(known[name].address, raw)
+        self.read(known["position_actual"].address)  # after a command its cycle passes
+        feedback = tuple(self.read(known[name].address) for name in cycle.in_)
+        return _new(Exchange, (feedback, values, sent, self._firmware.now / SECOND, 0.0, 0))
 
     def _bad_exchange(self, values: tuple[int, ...], sent: float) -> Exchange:
         """The same on a link that is late, loses samples, and stamps them wrongly."""

@@ -262,9 +262,15 @@ class Firmware:
         self.store_busy_until = self.now + _STORE_TIME
 
     def feed_watchdog(self) -> None:
-        """The master was heard."""
+        """The master was heard; an error of its silence that was no fault is gone."""
+        if not self._watched and self.error_code == self.silence_code:
+            self._heard_again()
         self._watched = True
         self._fed = self.now
+
+    def _heard_again(self) -> None:
+        if self.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            self._report(0)
 
     def unwatch(self) -> None:
         """The master said good-bye: the watchdog waits for the next one."""

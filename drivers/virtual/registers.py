@@ -11,8 +11,10 @@ from dataclasses import dataclass, field
 
 from drivers.virtual.device import Device
 from drivers.virtual.firmware import Denied, Reason
+from drivers.virtual.habits import NONE, Habits
+from drivers.virtual.habitual_mirror import mirror_of
 from drivers.virtual.mailbox import VirtualMailbox
-from drivers.virtual.mirror import Entry, Mirror
+from drivers.virtual.mirror import Entry
 from drivers.virtual.modbus_identity import PRODUCT, REVISION, VENDOR
 from drivers.virtual.switchgear import Switchgear
 from profiles.schema import Mailbox
@@ -111,10 +113,11 @@ class RegisterMap:
         switchgear: Switchgear | None = None,
         *,
         keeps: bool = False,
+        habits: Habits = NONE,
     ) -> None:
         self.device = device
         self.layout = layout
-        self._mirror = Mirror(device, switchgear, keeps=keeps)
+        self._mirror = mirror_of(device, habits, switchgear, keeps=keeps)
         self._posts: dict[int, VirtualMailbox] = {}
         if layout.mailbox is not None:
             mailbox = VirtualMailbox(layout.mailbox, layout.posted, self._mirror)

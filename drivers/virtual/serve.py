@@ -95,7 +95,10 @@ async def _serve(
         from drivers.virtual.twin import modbus_twin
 
         twin_of = endpoints.twin_of
-        return RegisterMap(device) if twin_of is None else modbus_twin(twin_of, device)
+        habits = endpoints.habits.for_bus("modbus")
+        if twin_of is None:
+            return RegisterMap(device, habits=habits)
+        return modbus_twin(twin_of, device, habits)
 
     async with contextlib.AsyncExitStack() as stack:
         poll: Callable[[], None] = device.catch_up
@@ -190,7 +193,7 @@ async def _canopen(
     dictionary = OWN if endpoints.twin_of is None else twin(endpoints.twin_of, device.firmware.axis)
     habits = endpoints.habits
     bus = CanBus(
-        HabitualNode(device, NODE, dictionary, habits)
+        HabitualNode(device, NODE, dictionary, habits.for_bus("canopen"))
         if habits.values
         else CanopenNode(device, NODE, dictionary)
     )

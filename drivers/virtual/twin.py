@@ -11,6 +11,7 @@ from itertools import pairwise
 from drivers.virtual.axes import VirtualAxis
 from drivers.virtual.device import Device
 from drivers.virtual.dictionary import SIMULATION, Dictionary
+from drivers.virtual.habits import NONE, Habits
 from drivers.virtual.mirror import Entry
 from drivers.virtual.objects import MODES
 from drivers.virtual.registers import CLOCK, Layout, RegisterMap
@@ -51,7 +52,8 @@ _FIRMWARE: dict[str, tuple[Unit, float]] = {
 }  # fmt: skip
 # a profile's own name for it, where it is another one
 _NAMES = {"mode_of_operation": "mode", "serial_number": "serial"}
-_FACTORS = {0x607B, 0x607E, 0x6091, 0x6092, 0x6093}  # CiA 402's, which only a habit makes
+# CiA 402's, which only a habit makes
+_OPTIONAL = {0x6073, 0x607B, 0x607E, 0x6091, 0x6092, 0x6093, 0x60C2, 0x100C, 0x100D}
 _ELSEWHERE = {0x1010, 0x1016, 0x1018}  # communication objects, which the node itself has
 _CLOCK = {
     CLOCK: Entry(("simulation_cycle",), "I"),
@@ -73,9 +75,10 @@ def twin(profile: Profile, axis: VirtualAxis) -> Dictionary:
         address = parameter.address
         assert isinstance(address, CanopenAddress)
         indices.add(address.index)
-        if address.index in _ELSEWHERE | _FACTORS:
-            continue
         keys = behind.get(name) or (_NAMES.get(name, name),)
+        is_left_out = address.index in _OPTIONAL and keys[0] not in _FIRMWARE
+        if address.index in _ELSEWHERE or is_left_out:
+            continue
         objects[address.index, address.sub] = _entry(name, keys, profile, axis)
     identity = tuple(_number(text) for text in (profile.identity.vendor, profile.identity.product))
     revision = profile.identity.revisions[0] if profile.identity.revisions else "0x00010000"
@@ -87,7 +90,7 @@ def twin(profile: Profile, axis: VirtualAxis) -> Dictionary:
     )
 
 
-def modbus_twin(profile: Profile, device: Device) -> RegisterMap:
+def modbus_twin(profile: Profile, device: Device, habits: Habits = NONE) -> RegisterMap:
     """The registers of the drive that `profile` is for, in front of `device`; raises UsageError."""
     if profile.bus != "modbus":
         raise UsageError(
@@ -142,7 +145,7 @@ def modbus_twin(profile: Profile, device: Device) -> RegisterMap:
         posted,
     )
     keeps = profile.store is not None and not profile.store.steps
-    return RegisterMap(device, layout, switchgear, keeps=keeps)
+    return RegisterMap(device, layout, switchgear, keeps=keeps, habits=habits)
 
 
 def _modbus(parameter: Parameter) -> ModbusAddress:
@@ -163,7 +166,8 @@ def _between(profile: Profile) -> frozenset[int]:
 
 def _behind(profile: Profile) -> dict[str, tuple[str, ...]]:
     """Firmware values behind the parameters of the compensation law, the limits and the watchdog."""
-    found = {name: (f"max_{kind}",) for kind, name in profile.limits.items()}
+    limits = profile.limits.items()
+    found = {name: (f"max_{kind}",) for kind, name in limits if kind != "current"}
     if profile.watchdog.parameter is not None:
         found[profile.watchdog.parameter] = ("watchdog_time",)
     return found | _compensation(profile)

@@ -12,7 +12,7 @@ from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from commissioning.session import preflight
 from commissioning.session.desk import Options
-from commissioning.session.preflight import Limits, choose_limits, look, prove_watchdog
+from commissioning.session.preflight import Limits, choose_limits, look, prove_watchdog, writes
 from commissioning.settings import Settings
 from drivers.link import axis_of, open_drive
 from drivers.profiled import ProfiledDrive
@@ -155,8 +155,12 @@ def test_a_torque_above_the_drive_s_own_limit_is_refused(drive: ProfiledDrive) -
     with pytest.raises(PreflightRefused, match=r"max torque of 3\.1 N\.m is above .* of 3 N\.m"):
         choose_limits(drive, AXIS, Options(max_torque=3.1))
     drive.write_raw("max_torque", 0)
-    with pytest.raises(PreflightRefused, match=r"own torque limit \('max_torque'\) is 0 N\.m"):
+    with pytest.raises(PreflightRefused, match=r"own torque limit \('max_torque'\) reads 0 N\.m"):
         choose_limits(drive, AXIS, Options())
+    # 0 is how some say "none": who says how much is taken at their word, and it is written
+    limits = choose_limits(drive, AXIS, Options(max_torque=0.5))
+    assert limits.torque == 0.5
+    assert writes(drive, limits)["max_torque"] == 500  # per mille of 1 N.m
 
 
 def test_a_drive_without_a_speed_limit_wants_one_from_the_user(drive: ProfiledDrive) -> None:

@@ -173,7 +173,7 @@ def test_on_canopen_no_frame_of_a_stop_enables_the_drive() -> None:
     class Wire:
         """Takes frames and answers nothing."""
 
-        node, patience = 5, 0.1
+        node, patience, is_sized = 5, 0.1, True
 
         def __init__(self) -> None:
             self.frames: list[tuple[int, bytes]] = []
@@ -192,6 +192,9 @@ def test_on_canopen_no_frame_of_a_stop_enables_the_drive() -> None:
 
         def drain(self) -> None:
             return
+
+        def let_pass(self) -> float:
+            return 0.05
 
     wire = Wire()
     profile = load_profile("virtual-canopen")

@@ -80,7 +80,8 @@ def test_nmt_boot_up_and_heartbeat(node: CanopenNode) -> None:
     assert node.poll() == [(0x705, b"\x7f")]
     node.receive(0x000, b"\x01\x05")
     node.device.firmware.advance(100 * MS)
-    assert node.poll() == [(0x705, b"\x05")]
+    # and the event of TPDO1's 255: its statusword says something new
+    assert node.poll() == [(0x705, b"\x05"), (0x185, b"\x40\x02")]
     assert node.receive(0x000, b"\x01\x06") == [], "another node is meant"
 
 

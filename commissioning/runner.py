@@ -136,10 +136,7 @@ def _fault_text(drive: Drive) -> str:
             )
     except TwoRelayError as error:
         return f"the drive left operation and cannot be asked why ({error})"
-    return (
-        f"the drive stopped by itself: {state}; look the code up in its manual, remove the cause, "
-        "then try again"
-    )
+    return f"the drive stopped by itself: {state}; remove the cause, then try again"
 
 
 @contextmanager

@@ -18,7 +18,8 @@ from typing import Literal
 from drivers.home import home
 from drivers.link import modbus_wire, open_can
 from drivers.link_text import Link, parse
-from profiles.errors import LinkError, TwoRelayError
+from profiles.errors import LinkError, NoAnswer, TwoRelayError
+from profiles.schema import LinkDefaults, Patience
 
 __all__ = ["Finding", "of_link", "of_machine"]
 
@@ -186,13 +187,14 @@ def of_link(text: str, tell: Callable[[str], None]) -> Iterator[Finding]:
 
 def _of_canopen(link: Link, tell: Callable[[str], None]) -> Iterator[Finding]:
     """Channel, bit rate, node, heartbeat: the four questions behind 'no SDO response'."""
-    from drivers.canopen.survey import listen, survey
+    from drivers.canopen.survey import ask, listen, survey
 
     try:
         bus = open_can(link)
     except LinkError as error:
         yield Finding("problem", f"channel: {error}")
         return
+    wanted = link.integer("node", 1, 127)
     try:
         yield Finding("ok", "channel: the adapter opens")
         tell("listening")
@@ -200,6 +202,10 @@ def _of_canopen(link: Link, tell: Callable[[str], None]) -> Iterator[Finding]:
         tell("asking every node")
         try:
             nodes = survey(bus, 0.2)
+            if wanted is not None and wanted not in [n.number for n in nodes if n.identity]:
+                tell(f"asking node {wanted} as a job does")
+                with contextlib.suppress(NoAnswer):
+                    nodes.append(ask(bus, wanted, LinkDefaults().service_timeout, Patience().boot))
         except LinkError as error:
             yield Finding(
                 "problem",
@@ -212,8 +218,7 @@ def _of_canopen(link: Link, tell: Callable[[str], None]) -> Iterator[Finding]:
     if traffic.errors:
         yield Finding(
             "problem",
-            f"bit rate: {traffic.errors} error frames within {_LISTEN:g} s: another bit rate than the "
-            "bus', or no termination",
+            f"bit rate: {traffic.errors} error frames within {_LISTEN:g} s: {traffic.trouble}",
         )
     elif traffic.frames or nodes:
         yield Finding(
@@ -225,7 +230,6 @@ def _of_canopen(link: Link, tell: Callable[[str], None]) -> Iterator[Finding]:
             "bit rate: nothing is heard and nobody answers: drive on? cable in? bit rate as set in the "
             "drive? another channel of the adapter?",
         )
-    wanted = link.integer("node", 1, 127)
     numbers = [node.number for node in nodes if node.identity is not None]
     if wanted is not None and wanted in numbers:
         yield Finding("ok", f"node: {wanted} answers")

@@ -99,6 +99,9 @@ class Drive(Protocol):
     def fault_text(self) -> str:
         """Fault and its code in words, or 'no fault'."""
 
+    def fault_of_another_kind(self) -> str:
+        """An error code that is none of communication, in words; ''."""
+
     def reset_fault(self) -> None:
         """Acknowledge a fault; never enables."""
 

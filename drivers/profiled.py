@@ -6,7 +6,7 @@ from collections.abc import Callable
 from math import inf, nan
 from typing import TYPE_CHECKING, Never, TypeVar
 
-from drivers import cia402
+from drivers import cia402, error_codes
 from drivers.bases import interpolation_period, read_bases
 from drivers.counter import Counter
 from drivers.drive import GUARDS, SET, Bus, Exchange, StopFrames, StopReport
@@ -321,11 +321,21 @@ class ProfiledDrive:
         text, trouble = self._state_text(), self._bus.trouble()
         return f"{text}, {trouble}" if trouble else text
 
+    def fault_of_another_kind(self) -> str:
+        """An error code that is none of communication, in words; ''."""
+        code = self._error_code()
+        is_known = self.profile.power is None and not error_codes.is_of_communication(code)
+        return f"{code:04X}h, {error_codes.words(code)}" if is_known else ""
+
+    def _error_code(self) -> int:
+        return self._optional("error_code") or 0
+
     def _state_text(self) -> str:
-        text = self._patiently(self._power.text)
-        known = self.profile.parameters.get("error_code")
-        code = self._patiently(lambda: self._bus.read(known.address)) if known is not None else 0
-        return f"{text}, error code {code:04X}h" if code else text
+        text, code = self._patiently(self._power.text), self._error_code()
+        if not code:
+            return text
+        meaning = error_codes.words(code) if self.profile.power is None else ""
+        return f"{text}, error code {code:04X}h{meaning and f' ({meaning})'}"
 
     def fault_text(self) -> str:
         """Fault and its code in words, or 'no fault'."""

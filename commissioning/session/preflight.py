@@ -232,8 +232,9 @@ def check_watchdog(drive: Drive, *, without: bool) -> None:
     """Refuse a drive that would not notice a dead link, unless the user has said `without`."""
     if drive.profile.watchdog.kind == "none" and not without:
         raise PreflightRefused(
-            f"profile '{drive.profile.name}' has no drive-side watchdog, so a dead cable would leave the "
-            "torque on; --without-watchdog takes that risk, with the emergency stop in your hand"
+            f"profile '{drive.profile.name}' has no drive-side watchdog for this drive and link, so a dead "
+            "cable would leave the torque on; --without-watchdog takes that risk, with the emergency stop in "
+            "your hand"
         )
 
 
@@ -293,6 +294,14 @@ def prove_watchdog(
                 "earlier proof: something else has stopped it. Look the code up in its manual, remove the "
                 "cause, then try again"
             )
+        if before is None:  # before a reset makes the drive forget it
+            tell(f"the drive noticed it, by itself: {drive.status_text()}")
+            stranger = drive.fault_of_another_kind()
+            if stranger:
+                tell(
+                    f"that is no error of communication ({stranger}): was it its watchdog that stopped the "
+                    "drive, or something else at the same time?"
+                )
         if drive.in_fault():
             drive.reset_fault()
         moved = drive.read("position_actual") - begin

@@ -13,6 +13,7 @@ from statistics import median
 from time import perf_counter
 from typing import TypeVar
 
+from drivers import error_codes
 from drivers.canopen.pdo import (
     HEARTBEAT_PRODUCER,
     MAPPING,
@@ -231,6 +232,7 @@ class CanopenBus:
         """Map the PDOs, start the node, and expect its TPDO with every SYNC."""
         self._idle = idle
         self._heartbeat_due = -1.0
+        self._wire.emergency = None  # what it reported so far is past
         if self._running:
             self._start_again()
             return
@@ -525,14 +527,14 @@ class CanopenBus:
         if wire.awaits_sync:
             wire.drain()
             missed, wire.syncs = wire.syncs, 0  # those that nobody was there for
-        lost = 0
+        lost = silent = 0
         while True:
             wire.send(self._rpdo.cob_id, payload)
             sent = pace.now()
             self._beat()
             if wire.awaits_sync:
                 self._supervise()
-                wire.await_sync(self._deadline)
+                silent += not wire.await_sync(self._deadline)
                 lateness, time = missed * self.cycle, pace.now()
                 wire.syncs = 0
             else:
@@ -545,6 +547,11 @@ class CanopenBus:
             if data is not None and len(data) >= self._tpdo.size:
                 return Exchange(self._tpdo.unpack(data), values, sent, time, lateness, missed)
             missed, lost = missed + 1, lost + 1
+            if silent >= MISSED_CYCLES:
+                raise LinkLost(
+                    f"no SYNC on the bus for {silent} cycles of {self.cycle * 1000:g} ms: its producer has "
+                    "stopped (sync=bus in the link waits for it)"
+                )
             if lost >= MISSED_CYCLES:
                 raise LinkLost(
                     f"no TPDO from node {wire.node} for {lost} cycles of "
@@ -600,7 +607,11 @@ class CanopenBus:
         if self._wire.emergency is None:
             return ""
         code, register = self._wire.emergency
-        return f"emergency {code:04X}h, error register {register:02X}h"
+        meaning, kinds = error_codes.words(code), error_codes.register_words(register)
+        return (
+            f"emergency {code:04X}h{meaning and f' ({meaning})'}, error register {register:02X}h"
+            f"{kinds and f' ({kinds})'}"
+        )
 
     def close(self) -> None:
         """Put back what `start` changed, and let go of the adapter."""

@@ -10,10 +10,11 @@ from typing import Any
 
 from drivers.canopen.bus import identify
 from drivers.canopen.wire import HEARTBEAT, CanWire
+from drivers.patience import when_up
 from profiles.errors import AccessDenied, LinkError
 from profiles.schema import Identity
 
-__all__ = ["Node", "Traffic", "listen", "survey"]
+__all__ = ["Node", "Traffic", "ask", "listen", "survey"]
 
 _NODES = range(1, 128)
 _UPLOAD_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0x00, 0, 0, 0, 0))  # CiA 301, SDO upload of 1000h:00
@@ -48,10 +49,11 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """What was heard: frames, error frames, and the nodes whose heartbeat it was."""
+    """What was heard: frames, error frames, what these say, and the nodes whose heartbeat it was."""
 
     frames: int
     errors: int
+    trouble: str
     heartbeats: frozenset[int]
 
 
@@ -59,7 +61,7 @@ def listen(bus: Any, seconds: float) -> Traffic:
     """Hear a bus for some time, and say nothing; raises LinkLost."""
     ear = _Ear(bus, seconds)
     ear.listen(seconds)
-    return Traffic(ear.frames, ear.error_frames, frozenset(ear.heard))
+    return Traffic(ear.frames, ear.error_frames, ear.bus_trouble, frozenset(ear.heard))
 
 
 def survey(bus: Any, timeout: float) -> list[Node]:
@@ -73,6 +75,16 @@ def survey(bus: Any, timeout: float) -> list[Node]:
     return [_described(bus, number, ear, timeout) for number in sorted(ear.heard)]
 
 
+def ask(bus: Any, number: int, timeout: float, patience: float) -> Node:
+    """One node, as a job asks it: `timeout` s for each answer, `patience` s while it boots, or is busy.
+
+    Raises LinkError.
+    """
+    wire = CanWire(bus, number, timeout)
+    identity = when_up(lambda: identify(wire, patience), patience, timeout)
+    return Node(number, identity, None, None)
+
+
 class _Ear(CanWire):
     """A wire that notes who speaks."""
 
@@ -82,8 +94,8 @@ class _Ear(CanWire):
         self.answered: dict[int, bytes] = {}
         self.frames = 0
 
-    def _note(self, sending: bool, cob_id: int, data: bytes) -> None:
-        if sending:
+    def _note(self, sending: bool, cob_id: int, data: bytes | None) -> None:
+        if sending or data is None:
             return
         self.frames += 1
         if HEARTBEAT < cob_id < HEARTBEAT + 128:

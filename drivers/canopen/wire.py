@@ -51,7 +51,7 @@ _POST_ANSWER = 0.05  # s that the answer to a posted download may take
 _FRAMES = (b"t", b"T", b"r", b"R", b"x")  # lines of slcan that are frames; x: CANDapter's T
 _LONGEST_LINE = 4096  # bytes without an end: no adapter of this kind
 
-Trace = Callable[[bool, int, bytes], None]
+Trace = Callable[[bool, int, bytes | None], None]  # sending, COB-ID, data; None: a remote frame
 
 
 def open_bus(interface: str, channel: str, bitrate: int, timeout: float) -> can.BusABC:
@@ -312,14 +312,12 @@ class CanWire:
 
     def guard(self) -> None:
         """Ask the node for its state by a remote frame, as a master that guards it; raises LinkLost."""
+        cob_id = HEARTBEAT + self.node
         self._transmit(
-            can.Message(
-                arbitration_id=HEARTBEAT + self.node,
-                is_remote_frame=True,
-                dlc=1,
-                is_extended_id=False,
-            )
+            can.Message(arbitration_id=cob_id, is_remote_frame=True, dlc=1, is_extended_id=False)
         )
+        if self._trace is not None:
+            self._trace(True, cob_id, None)
 
     send_message = send  # the name under which canopen's SDO client knows it
 
@@ -344,7 +342,7 @@ class CanWire:
         data = bytes(message.data)
         cob_id = message.arbitration_id
         if self._trace is not None:
-            self._trace(False, cob_id, data)
+            self._trace(False, cob_id, None if message.is_remote_frame else data)
         if message.is_error_frame:
             self.error_frames += 1
             self.bus_trouble = bus_state.words(cob_id, data)
@@ -480,7 +478,7 @@ class CanWire:
     @contextlib.contextmanager
     def _translated(self, index: int, sub: int, denied: type[AccessDenied] = AccessDenied) -> Any:
         self._settle_posts()
-        self._sdo.about = struct.pack("<HB", index, sub)
+        self._sdo.about = self._sdo.last = struct.pack("<HB", index, sub)
         try:
             yield
         except SdoAbortedError as error:
@@ -539,6 +537,11 @@ class _PumpedSdo(SdoClient):
         self.about = (
             b""  # index and sub-index that are asked for; empty: answers to posts are awaited
         )
+        self.last = bytes(3)  # of what was asked last
+
+    def abort(self, abort_code: int = 0x08000000) -> None:
+        """Abort the transfer, and say which (CiA 301, 7.2.4.3.17); the library says 0000h:00."""
+        self.send_request(b"\x80" + self.last + struct.pack("<I", abort_code))  # type: ignore[no-untyped-call]
 
     def take(self, data: bytes) -> None:
         """An answer; one about another object came late, or twice, and is nobody's any more."""

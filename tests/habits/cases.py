@@ -91,7 +91,7 @@ CANOPEN = [
     *(survives(habit) for habit in ("feed", "gear", "old-factor", "modulo", "polarity")),
     Case(("delivered",), (3, "ncoder")),
     survives("lacks=6502h"),
-    survives("lacks=1018h+6087h+605Ah"),
+    survives("lacks=1018h+6087h+605Ah+603Fh"),
     survives("lacks=6077h", says="does not tell its torque"),
     survives("lacks=6072h", says="no torque limit"),
     survives("lacks=6080h", says="no speed limit", options=("--max-speed", "100")),

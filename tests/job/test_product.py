@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -221,8 +222,25 @@ def _check_pcap(path: Path) -> None:
 def _check_candump(path: Path) -> None:
     lines = path.read_text().splitlines()
     assert len(lines) > 1000
-    pattern = re.compile(r"\(\d+\.\d{6}\) can0 [0-9A-F]{3}#([0-9A-F]{2}){0,8} [TR]")
+    # as `candump -L` writes them: (seconds.microseconds) interface identifier#data, R for a remote frame
+    pattern = re.compile(r"\(\d+\.\d{6}\) can0 [0-9A-F]{3}#(([0-9A-F]{2}){0,8}|R)")
     assert all(pattern.fullmatch(line) for line in lines)
+
+
+@pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed")
+def test_wireshark_reads_the_trace_of_a_can_run(
+    tworelay: Tworelay, serve: Serve, tmp_path: Path
+) -> None:
+    link = serve("bench", *WIRES["socketcand"], "--clock", "step")[0]
+    path = tmp_path / "can.log"
+    assert (
+        tworelay("identify", link, "--travel", "3", "--yes", "--trace", str(path)).returncode == 0
+    )
+    seen = subprocess.run(
+        ["tshark", "-r", str(path), "-c", "100"], capture_output=True, text=True, check=True
+    )
+    assert len(seen.stdout.splitlines()) == 100
+    assert "SDO" in seen.stdout
 
 
 def test_the_wheel_has_all_that_it_needs(tmp_path: Path) -> None:

@@ -254,3 +254,76 @@ def test_what_a_node_does_when_the_heartbeat_of_its_master_is_lost(
     node.device.firmware.advance(200 * MS)
     node.poll()
     assert node.state == state
+
+
+def tpdos(frames: list[tuple[int, bytes]]) -> list[str]:
+    return [data.hex(" ") for cob_id, data in frames if cob_id == 0x185]
+
+
+def test_an_event_driven_tpdo_comes_when_its_values_change(node: CanopenNode) -> None:
+    """CiA 301, 7.5.2.37: 255 is the profile's event; CiA 402: a change of the statusword."""
+    assert tpdos(node.poll()) == [], "not before it is operational"
+    assert tpdos([*node.receive(0x000, b"\x01\x05"), *node.poll()]) == ["40 02"]
+    assert tpdos(node.poll()) == [], "nothing has changed"
+    node.receive(0x205, b"\x06\x00")
+    assert tpdos(node.poll()) == ["31 02"]
+    node.receive(0x000, b"\x80\x05")
+    node.receive(0x605, bytes.fromhex("2B 40 60 00 07 00 00 00"))
+    assert tpdos(node.poll()) == [], "PDOs are for operational nodes"
+
+
+def test_inhibit_time_keeps_event_driven_tpdos_apart(node: CanopenNode) -> None:
+    """1800h:03 in steps of 100 us, written while the PDO does not exist."""
+    assert sdo(node, "2B 00 18 03 64 00 00 00") == "80 00 18 03 22 00 00 08"
+    assert sdo(node, "23 00 18 01 85 01 00 80").startswith("60")
+    assert sdo(node, "2B 00 18 03 64 00 00 00").startswith("60")  # 10 ms
+    assert sdo(node, "23 00 18 01 85 01 00 00").startswith("60")
+    assert sdo(node, "40 00 18 03 00 00 00 00") == "4B 00 18 03 64 00 00 00"
+    node.receive(0x000, b"\x01\x05")
+    node.device.firmware.advance(10 * MS)
+    assert tpdos(node.poll()) == ["40 02"]
+    node.receive(0x205, b"\x06\x00")
+    node.device.firmware.advance(9 * MS)
+    assert tpdos(node.poll()) == []
+    node.device.firmware.advance(1 * MS)
+    assert tpdos(node.poll()) == ["31 02"]
+
+
+@pytest.mark.parametrize(
+    ("request_", "answer"),
+    [
+        ("23 00 14 01 06 02 00 00", "80 00 14 01 30 00 09 06"),  # another COB-ID while it exists
+        ("2F 00 18 02 F1 00 00 00", "80 00 18 02 30 00 09 06"),  # 241: reserved
+        ("2F 00 18 02 FD 00 00 00", "80 00 18 02 30 00 09 06"),  # 253: on request only
+        ("2F 00 1A 00 00 00 00 00", "80 00 1A 00 22 00 00 08"),  # a mapping while it exists
+    ],
+)
+def test_pdo_parameters_are_written_by_the_rules(
+    node: CanopenNode, request_: str, answer: str
+) -> None:
+    assert sdo(node, request_) == answer
+
+
+def test_a_pdo_that_is_too_long_is_taken_and_reported(node: CanopenNode) -> None:
+    node.receive(0x000, b"\x01\x05")
+    node.poll()
+    frames = node.receive(0x205, b"\x06\x00\xff")
+    assert (0x085, bytes.fromhex("20 82 11 00 00 00 00 00")) in frames
+    assert node.device.firmware.statusword & 0x6F == 0x21
+
+
+def test_an_error_of_silence_that_is_no_fault_is_gone_with_the_next_heartbeat(
+    node: CanopenNode,
+) -> None:
+    """6007h = 3, quick stop: no fault to be reset, so the error register clears by itself."""
+    sdo(node, "2B 07 60 00 03 00 00 00")
+    sdo(node, "23 16 10 01 32 00 7F 00")  # node 127 every 50 ms
+    for word in (b"\x06\x00", b"\x07\x00", b"\x0f\x00"):
+        sdo(node, "2F 60 60 00 0A 00 00 00")
+        node.receive(0x605, bytes.fromhex("2B 40 60 00") + word + b"\0\0")
+    node.receive(0x77F, b"\x05")
+    node.device.firmware.advance(51 * MS)
+    assert (0x085, bytes.fromhex("30 81 11 00 00 00 00 00")) in node.poll()
+    assert sdo(node, "40 01 10 00 00 00 00 00") == "4F 01 10 00 11 00 00 00"
+    assert (0x085, bytes(8)) in node.receive(0x77F, b"\x05")
+    assert sdo(node, "40 01 10 00 00 00 00 00") == "4F 01 10 00 00 00 00 00"

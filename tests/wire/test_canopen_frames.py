@@ -16,7 +16,14 @@ from drivers.canopen.bus import CanopenBus, sync_period
 from drivers.canopen.bus_state import BUS_OFF, NO_ACK, PASSIVE, words
 from drivers.canopen.wire import CanWire, NoAnswer, open_bus
 from drivers.pace import WallPace
-from profiles.errors import AccessDenied, LinkLost, TwoRelayError, UsageError, WriteDenied
+from profiles.errors import (
+    AccessDenied,
+    LinkError,
+    LinkLost,
+    TwoRelayError,
+    UsageError,
+    WriteDenied,
+)
 from profiles.library import load_profile
 
 Frame = tuple[int, str]
@@ -54,9 +61,11 @@ class Peer:
         pass
 
 
-def wire(answer: Answer, timeout: float = 0.05) -> tuple[CanWire, Peer]:
+def wire(
+    answer: Answer, timeout: float = 0.05, *, awaits_sync: bool = False
+) -> tuple[CanWire, Peer]:
     peer = Peer(answer)
-    return CanWire(peer, NODE, timeout), peer  # type: ignore[arg-type]
+    return CanWire(peer, NODE, timeout, awaits_sync=awaits_sync), peer  # type: ignore[arg-type]
 
 
 def scripted(*answers: str | list[Frame]) -> Answer:
@@ -192,7 +201,7 @@ def test_a_truncated_answer_is_no_answer(bad: list[Frame]) -> None:
     with pytest.raises(NoAnswer, match=r"node 5 does not answer to SDO 6041h:00 within 0\.05 s"):
         node.upload(0x6041, 0)
     # nothing is sent twice; the transfer is aborted with 05040000h, time-out
-    assert peer.sent == [(0x605, "40 41 60 00 00 00 00 00"), (0x605, "80 00 00 00 00 00 04 05")]
+    assert peer.sent == [(0x605, "40 41 60 00 00 00 00 00"), (0x605, "80 41 60 00 00 00 04 05")]
 
 
 def test_the_answer_to_another_question_is_not_taken_for_ours() -> None:
@@ -252,7 +261,10 @@ def test_a_node_that_stores_may_take_longer_to_answer() -> None:
 
 
 def running(
-    more: dict[tuple[int, int], int] | None = None, state: str | None = None
+    more: dict[tuple[int, int], int] | None = None,
+    state: str | None = None,
+    *,
+    awaits_sync: bool = False,
 ) -> tuple[CanopenBus, Peer, list[Frame]]:
     """A bus of the generic profile in its cycle; the list is what the node says to each SYNC.
 
@@ -277,7 +289,7 @@ def running(
         objects[index, sub] = int.from_bytes(data[4:], "little")
         return [(0x585, f"60 {head} 00 00 00 00")]
 
-    node, peer = wire(answer)
+    node, peer = wire(answer, awaits_sync=awaits_sync)
     bus = CanopenBus(node, load_profile("cia402"), WallPace(0.001))
     if state is not None:
         peer.say(0x705, state)
@@ -363,10 +375,82 @@ def test_an_emergency_is_kept_until_it_is_reset() -> None:
     bus, peer, _ = running()
     peer.say(0x085, "11 86 21 00 00 00 00 00")
     bus.exchange((0x0F, 0, 0))
-    assert bus.trouble() == "emergency 8611h, error register 21h"
+    assert (
+        bus.trouble() == "emergency 8611h (following error), error register 21h (generic, profile)"
+    )
     peer.say(0x085, "00 00 00 00 00 00 00 00")
     bus.exchange((0x0F, 0, 0))
     assert bus.trouble() == ""
+
+
+def test_a_drive_that_says_who_stopped_beating_says_it_in_words() -> None:
+    bus, peer, _ = running()
+    peer.say(0x085, "30 81 11 00 00 00 00 00")
+    bus.exchange((0x0F, 0, 0))
+    assert bus.trouble() == (
+        "emergency 8130h (heartbeat of the master lost, or guarding), error register 11h "
+        "(generic, communication)"
+    )
+
+
+def test_a_dead_producer_of_sync_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With sync=bus another device paces the cycle; its silence is not the node's."""
+    monkeypatch.setattr(CanopenBus, "_check_sync", lambda bus: None)  # it was there before the run
+    bus, _, _ = running(awaits_sync=True)
+    with pytest.raises(
+        LinkLost, match="no SYNC on the bus for 3 cycles of 1 ms: its producer has stopped"
+    ):
+        bus.exchange((0x0F, 0, 0))
+
+
+def test_a_transfer_that_we_abort_names_its_object() -> None:
+    """CiA 301, 7.2.4.3.17: the multiplexer of the transfer stands in the abort."""
+    node, peer = wire(scripted("41 08 10 00 0C 00 00 00", "10 74 77 69 6E 20 6F 66"))
+    with pytest.raises(LinkError):  # the toggle bit of the segment is wrong: 05030000h
+        node.upload(0x1008, 0)
+    assert peer.sent[-1] == (0x605, "80 08 10 00 00 00 03 05")
+
+
+@pytest.mark.parametrize(
+    ("answer", "value"),
+    [
+        ("43 72 60 00 E8 03 00 00", 1000),  # four bytes, where the profile has two
+        ("4B 72 60 00 E8 03 AA BB", 1000),
+        ("42 72 60 00 E8 03 AA BB", 1000),  # without a size the profile's counts
+    ],
+)
+def test_a_value_is_as_wide_as_the_drive_says(answer: str, value: int) -> None:
+    node, _ = wire(scripted(answer))
+    profile = load_profile("cia402")
+    bus = CanopenBus(node, profile, WallPace(0.001))
+    assert bus.read(profile.parameters["max_torque"].address) == value
+
+
+def test_a_value_goes_back_as_wide_as_it_came() -> None:
+    node, peer = wire(scripted("43 72 60 00 E8 03 00 00", "60 72 60 00 00 00 00 00"))
+    profile = load_profile("cia402")
+    bus = CanopenBus(node, profile, WallPace(0.001))
+    bus.read(profile.parameters["max_torque"].address)
+    bus.write(profile.parameters["max_torque"].address, 500)
+    assert peer.sent[-1] == (0x605, "23 72 60 00 F4 01 00 00")
+
+
+def test_a_width_that_is_refused_is_asked_and_tried_again() -> None:
+    refused = "80 72 60 00 10 00 07 06"  # 06070010h
+    node, peer = wire(scripted(refused, "43 72 60 00 E8 03 00 00", "60 72 60 00 00 00 00 00"))
+    profile = load_profile("cia402")
+    CanopenBus(node, profile, WallPace(0.001)).write(profile.parameters["max_torque"].address, 500)
+    assert [text for _, text in peer.sent] == [
+        "2B 72 60 00 F4 01 00 00", "40 72 60 00 00 00 00 00", "23 72 60 00 F4 01 00 00",
+    ]  # fmt: skip
+
+
+def test_one_byte_where_four_are_is_a_number_of_entries() -> None:
+    node, _ = wire(scripted("4F 76 60 00 06 00 00 00"))
+    profile = load_profile("cia402")
+    bus = CanopenBus(node, profile, WallPace(0.001))
+    with pytest.raises(LinkError, match=r"6076h:00 has 1 byte .* behind sub-index 1"):
+        bus.read(profile.parameters["rated_torque"].address)
 
 
 # -- the adapter ---------------------------------------------------------------------------------------

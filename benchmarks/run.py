@@ -20,6 +20,7 @@ from benchmarks.accuracy import accuracy  # noqa: E402
 from benchmarks.critical_point import critical_point  # noqa: E402
 from benchmarks.links import WIRES, links, served  # noqa: E402
 from benchmarks.stop_times import stop_times  # noqa: E402
+from benchmarks.units import units  # noqa: E402
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
@@ -170,7 +171,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         os.environ["TWORELAY_HOME"] = folder
         tables: dict[str, Callable[[], list[str]]] = {
-            "wires": wires, "speed": speed, "links": links, "critical_point": critical_point,
+            "wires": wires, "speed": speed, "links": links, "critical_point": critical_point, "units": units,
             "stop_times": stop_times,
             "accuracy": lambda: accuracy(int(os.environ.get("AXES", "2000"))),
         }  # fmt: skip

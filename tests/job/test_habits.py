@@ -139,3 +139,45 @@ def test_habits_are_listed(tworelay: Tworelay) -> None:
     listed = tworelay("virtual", "list", "--habits")
     assert "slow-reset=0.05" in listed.stdout
     assert "lacks" in json.loads(tworelay("virtual", "list", "--habits", "--json").stdout)
+
+
+@pytest.mark.parametrize(
+    "habit", ["short-sdo", "unsized", "segmented", "slow-answer=0.35", "slow-boot"]
+)
+def test_doctor_finds_a_node_where_identify_does(
+    serve: Serve, tworelay: Tworelay, habit: str
+) -> None:
+    link = served(serve, habit)
+    found = json.loads(tworelay("doctor", link, "--json").stdout)
+    assert [line["text"] for line in found if line["text"].startswith("node:")] == [
+        "node: 5 answers"
+    ]
+
+
+def test_the_proof_of_the_watchdog_is_told_with_what_the_drive_said(
+    serve: Serve, tworelay: Tworelay
+) -> None:
+    """Its entry in the drive's error history is ours: the technician reads it before a reset erases it."""
+    link = served(serve, "slow-reset")
+    done = tworelay("identify", link, "--profile", "cia402", *QUICK)
+    assert "the drive noticed it, by itself:" in done.stdout
+    assert "8130h (heartbeat of the master lost, or guarding)" in done.stdout
+
+
+def test_a_node_that_was_operational_is_left_so(serve: Serve, tworelay: Tworelay) -> None:
+    words = ("--habit", "operational", "--clock", "wall")
+    link = serve("bench", *WIRES["socketcand"], "--profile", "cia402", *words)[0]
+    drive = open_drive(Axis(link=link, profile="cia402"))
+    try:
+        drive.rehearse(3)
+    finally:
+        drive.close()
+    again = open_drive(Axis(link=link, profile="cia402"))
+    try:
+        wire = again._bus._wire  # type: ignore[attr-defined]
+        wire.download(0x1017, 0, (20).to_bytes(2, "little"))
+        wire.pump_until(lambda: wire.heartbeat_state is not None, 2.0)
+        assert wire.heartbeat_state == 0x05
+        wire.download(0x1017, 0, bytes(2))
+    finally:
+        again.close()

@@ -17,7 +17,7 @@ from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis, AxisLimits, Mechanics
 from profiles.errors import AccessDenied, IdentityMismatch, LinkError, Refused, UsageError
 from profiles.library import fitting, load_profile
-from profiles.schema import Identity, LinkDefaults, Patience, Profile
+from profiles.schema import NOBODY, Identity, LinkDefaults, Patience, Profile
 
 if TYPE_CHECKING:
     from drivers.modbus.wires import Wire
@@ -100,7 +100,7 @@ def open_drive(
         "virtual": _open_virtual,
         "canopen": partial(_open_canopen, to_stop=to_stop),
     }
-    opener = openers.get(link.scheme, _open_modbus)
+    opener = openers.get(link.scheme, partial(_open_modbus, to_stop=to_stop))
     bus, profile = opener(link, axis, named, cycle or axis.cycle, trace)
     try:
         return ProfiledDrive(bus, profile, axis, link.text, to_stop=to_stop)
@@ -136,7 +136,12 @@ def open_to_stop(axis: Axis) -> ProfiledDrive:
         from drivers.modbus.bus import ModbusBus
         from drivers.modbus.client import Client
 
-        client = Client(modbus_wire(link, profile), _unit(link, profile), _timeout(link, profile))
+        client = Client(
+            modbus_wire(link, profile),
+            _unit(link, profile),
+            _timeout(link, profile),
+            longest_answer=profile.link.longest_answer,
+        )
         bus = ModbusBus(client, profile, WallPace(cycle))
     return ProfiledDrive(bus, profile, axis, link.text, to_stop=True)
 
@@ -200,16 +205,26 @@ def check_files_of_others(text: str, *keys: str) -> None:
 
 
 def _open_modbus(
-    link: Link, axis: Axis, profile: Profile | None, cycle: float | None, trace: Trace | None
+    link: Link,
+    axis: Axis,
+    profile: Profile | None,
+    cycle: float | None,
+    trace: Trace | None,
+    *,
+    to_stop: bool,
 ) -> tuple[Bus, Profile]:
     from drivers.modbus.bus import ModbusBus, identify
     from drivers.modbus.client import Client
 
-    wire = modbus_wire(link, profile)
-    client = Client(wire, _unit(link, profile), _timeout(link, profile), trace)
+    wire, timeout = modbus_wire(link, profile), _timeout(link, profile)
+    defaults = profile.link if profile else LinkDefaults()
+    client = Client(wire, _unit(link, profile), timeout, trace, defaults.longest_answer)
     try:
-        patience = (profile.link if profile else LinkDefaults()).patience
-        chosen = _armed_with(_agree(identify(client, patience), "modbus", profile), axis)
+        identity = NOBODY
+        if profile is None or profile.identity.asked:
+            boot = 0.0 if to_stop else (profile.patience if profile else Patience()).boot
+            identity = when_up(lambda: identify(client, defaults.patience), boot, timeout)
+        chosen = _armed_with(_agree(identity, "modbus", profile), axis)
         return ModbusBus(client, chosen, _pace(link, cycle or chosen.link.cycle)), chosen
     except BaseException:
         client.close()
@@ -338,8 +353,9 @@ def _agree(identity: Identity, bus: str, named: Profile | None) -> Profile:
     if named is None:
         return fitting(identity, bus)
     if not named.identity.accepts(identity):
+        told = "does not say who it is" if identity == NOBODY else f"is {identity}"
         raise IdentityMismatch(
-            f"the drive is {identity}, but profile '{named.name}' is for vendor "
+            f"the drive {told}, but profile '{named.name}' is for vendor "
             f"{named.identity.vendor or 'any'}, product {named.identity.product or 'any'}"
             + (
                 f", revision {' or '.join(named.identity.revisions)}"

@@ -24,6 +24,7 @@ from profiles.errors import (
     WriteFailed,
 )
 from profiles.schema import (
+    NOBODY,
     Access,
     Identity,
     Mode,
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
 __all__ = ["ProfiledDrive"]
 
 _new = tuple.__new__  # a named tuple in half the time: there are hundreds of thousands
-_NOBODY = Identity(vendor="", product="", revision="", serial="")
 _IDENTITY = {
     "product": "product_code", "revision": "revision_code", "serial": "serial_number",
 }  # fmt: skip
@@ -105,7 +105,7 @@ class ProfiledDrive:
     def identity(self) -> Identity:
         """Who the drive says it is; from its parameters what the bus does not tell."""
         asked = self.profile.identity.asked
-        identity = self._bus.identify() if asked else _NOBODY
+        identity = self._bus.identify() if asked else NOBODY
         told = {}
         for field, name in _IDENTITY.items():
             if not getattr(identity, field) and name in self.profile.parameters:

@@ -8,7 +8,7 @@ from typing import Literal
 from profiles.errors import AccessDenied, LinkError
 from profiles.schema import Address, CanopenAddress, ModbusAddress, Profile
 
-__all__ = ["Simulation", "set_simulation"]
+__all__ = ["TWIN_MARK", "TWIN_MARKED", "Simulation", "set_simulation"]
 
 Simulation = Literal["simulation_cycle", "simulation_advance"]
 
@@ -24,6 +24,8 @@ _TWIN: dict[tuple[str, str], Address] = {
     ),
 }
 _MICROSECOND = 1e-6
+TWIN_MARK = ModbusAddress.model_validate({"register": 0xFF04, "type": "u16"})  # where one says so
+TWIN_MARKED = 0x7457
 
 
 def set_simulation(

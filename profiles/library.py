@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from profiles.errors import IdentityMismatch, ProfileError, UnknownName
 from profiles.files import contents
-from profiles.schema import Identity, MailboxAddress, ModbusAddress, Profile
+from profiles.schema import NOBODY, Identity, MailboxAddress, ModbusAddress, Profile
 from profiles.toml_files import parse_model, parse_tree, read_text, validated
 
 if TYPE_CHECKING:
@@ -132,6 +132,11 @@ def fitting(identity: Identity, bus: str) -> Profile:
     ]
     if len(fits) == 1:
         return fits[0]
+    if identity == NOBODY:
+        raise IdentityMismatch(
+            f"the drive does not say who it is, so its profile is not known: give --profile (one of "
+            f"'tworelay profile list' for {bus}, or your own file)"
+        )
     if not fits:
         raise IdentityMismatch(
             f"no built-in profile fits {identity} on {bus}; name one with --profile "

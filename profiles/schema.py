@@ -321,6 +321,9 @@ class Identity(_Strict):
         return " ".join(f"{what}{text}" for what, text in named if text) or "does not say who it is"
 
 
+NOBODY = Identity(vendor="", product="", revision="", serial="")
+
+
 class LinkDefaults(_Strict):
     """How the drive is reached when the LINK does not say it."""
 
@@ -337,6 +340,7 @@ class LinkDefaults(_Strict):
     cycle: Annotated[float, Field(gt=0)] = 0.005  # s
     service_timeout: Annotated[float, Field(gt=0)] = 0.5  # s, one request outside motion
     patience: Annotated[float, Field(ge=0)] = 5.0  # s, for a drive that says it is busy
+    longest_answer: Annotated[float, Field(gt=0)] = 0.1  # s; later, none comes on a serial line
 
 
 class Mode(StrEnum):

@@ -24,7 +24,8 @@ WIRES = {
 _PATIENCE = 10.0  # s to end in
 _WARM = [
     "commissioning.cli.virtual", "drivers.link", "drivers.virtual.serve", "drivers.virtual.twin",
-    "drivers.virtual.modbus_server", "drivers.virtual.canopen_node", "profiles.library",
+    "drivers.virtual.modbus_server", "drivers.virtual.habitual_slave", "drivers.virtual.canopen_node",
+    "profiles.library",
 ]  # fmt: skip
 
 _CONTEXT = (

@@ -14,7 +14,7 @@ from drivers.modbus.registers import decode, encode
 from drivers.pace import Pace
 from drivers.patience import patiently
 from drivers.serial_port import SerialPort, Stream
-from drivers.stepping import set_simulation
+from drivers.stepping import TWIN_MARK, TWIN_MARKED, Simulation, set_simulation
 from profiles.errors import (
     AccessDenied,
     DriveFault,
@@ -34,20 +34,20 @@ MISSED_CYCLES = 3  # consecutive cycles without a sample are a lost link (safety
 
 
 def identify(client: Client, patience: float = LinkDefaults().patience) -> Identity:
-    """Vendor, product and revision by FC 43/14; a drive without it has empty ones.
+    """Vendor, product and revision by FC 43/14; a drive without it, or silent on it, has empty ones.
 
-    `patience` : s for a drive that is busy; with none, it is one without it
+    `patience` : s for a drive that is busy; with none, it is one without it. Raises NoAnswer where the drive
+    answers nothing else, either.
     """
-
-    def wait() -> float:
-        sleep(_ASKED_AGAIN)
-        return _ASKED_AGAIN
-
     try:
-        found = patiently(client.identification, patience, wait)
+        found = patiently(client.identification, patience, _nap)
     except AccessDenied as error:
         if error.busy and patience:
             raise
+        found = {}
+    except NoAnswer:
+        with contextlib.suppress(AccessDenied):  # which is an answer
+            client.read(3, 0, 1)
         found = {}
     return Identity(
         vendor=found.get(0, ""),
@@ -55,6 +55,12 @@ def identify(client: Client, patience: float = LinkDefaults().patience) -> Ident
         revision=found.get(2, ""),
         serial="",
     )
+
+
+def _nap() -> float:
+    """Time of the wall, s, that a busy drive is given before it is asked again."""
+    sleep(_ASKED_AGAIN)
+    return _ASKED_AGAIN
 
 
 class ModbusBus:
@@ -68,9 +74,8 @@ class ModbusBus:
         Its cycle is the link's.
     """
 
-    lacking: tuple[str, ...] = ()  # its profile says all that there is
-
     def __init__(self, client: Client, profile: Profile, pace: Pace) -> None:
+        self.lacking: tuple[str, ...] = (client.oddity,) if client.oddity else ()
         self.cycle = pace.cycle
         self.in_real_time = not pace.stepping
         self._client = client
@@ -90,11 +95,22 @@ class ModbusBus:
         self._write_function = 6 if profile.cycle.function == "fc6+3" else 16
         self._one_transaction = profile.cycle.function == "fc23"
         if pace.stepping:
-            set_simulation(self.write, profile, "simulation_cycle", pace.cycle, self._is_twin)
+            self._simulate("simulation_cycle", pace.cycle)
+
+    def _simulate(self, name: Simulation, seconds: float) -> None:
+        """Let the clock of a drive that steps know."""
+
+        def write(address: Address, raw: int) -> None:
+            patiently(lambda: self.write(address, raw), self._profile.link.patience, _nap)
+
+        set_simulation(write, self._profile, name, seconds, self._is_twin)
 
     def _is_twin(self) -> bool:
         """Whether the drive says that it is a virtual one in another one's clothes."""
-        return any(text.startswith("twin of ") for text in self._client.identification().values())
+        try:
+            return self.read(TWIN_MARK) == TWIN_MARKED
+        except AccessDenied:
+            return False
 
     def identify(self) -> Identity:
         """Ask the drive who it is."""
@@ -242,7 +258,7 @@ class ModbusBus:
     def wait(self, seconds: float) -> None:
         """Let time pass; on a stepping drive, by asking it to."""
         if self._pace.stepping:
-            set_simulation(self.write, self._profile, "simulation_advance", seconds, self._is_twin)
+            self._simulate("simulation_advance", seconds)
         self._pace.pass_time(seconds)
 
     def answering_within(self, seconds: float) -> AbstractContextManager[None]:

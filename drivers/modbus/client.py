@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import select
 import socket
+import ssl
 import sys
 from collections.abc import Callable, Generator
-from typing import Any
+from time import perf_counter
+from typing import Any, NamedTuple, Protocol
 
 from pymodbus import FramerType
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
@@ -19,10 +22,12 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
+from drivers.modbus.incoming import Incoming, LineIncoming, MbapIncoming, frame_at
 from drivers.modbus.wires import RtuLine, TcpWire, Wire
 from drivers.pace import Silence
 from drivers.serial_port import SerialPort, Stream
 from profiles.errors import AccessDenied, LinkError, LinkLost, NoAnswer
+from profiles.schema import LinkDefaults
 
 __all__ = ["POST_ANSWER", "Client", "ExceptionAnswer", "NoAnswer"]
 
@@ -41,12 +46,30 @@ _EXCEPTIONS = {
     11: "gateway target device failed to respond",
 }
 
-_BUSY = 5, 6
+_BUSY = 5, 6, 10, 11  # of a drive, and of a gateway that cannot reach it for now
 
 Trace = Callable[[bool, bytes], None]
+Packet = Callable[[bool, bytes], bytes]
+Came = Callable[[bytes], bytes]
 
 POST_ANSWER = 0.01  # s that a posted write may hold up the next one
+_CHUNK = 4096
+_SHORT = 0.1  # s: a cycle's patience, and no service's
+_NO_TIME = 5e-4  # s
+_LARGEST_ECHO = 16  # bytes
 _NEVER_DISCONNECT = 1_000_000  # the receive deadline is ours to judge, not the library's
+
+
+class Kind(NamedTuple):
+    """What tells an answer from another one on a line: function, and registers in it (0: none)."""
+
+    function: int
+    registers: int
+
+    @property
+    def shortest(self) -> int:
+        """Bytes of it on a line, without an exception."""
+        return 5 + 2 * self.registers if self.registers else 8
 
 
 class ExceptionAnswer(AccessDenied):
@@ -65,7 +88,9 @@ class Client:
     wire : where the drive is, and how it is talked to there
     unit : address of the drive on that wire
     timeout : s, for connecting and for requests outside the cycle
-    trace : called with (sending, bytes) for every frame
+    trace : called with (sending, bytes) for every packet, once
+    longest_answer : s; on a line, whose answers do not say what they answer, nothing is sent after a missed
+        one until it has come late, or so long has passed
 
     Raises
     ------
@@ -73,69 +98,98 @@ class Client:
         The host or the port cannot be reached.
     """
 
-    def __init__(self, wire: Wire, unit: int, timeout: float, trace: Trace | None = None) -> None:
+    def __init__(
+        self,
+        wire: Wire,
+        unit: int,
+        timeout: float,
+        trace: Trace | None = None,
+        longest_answer: float = LinkDefaults().longest_answer,
+    ) -> None:
         self._wire = wire
         self.turn_to(unit)
         self._timeout = timeout
         self._trace = trace
-        self._heard = 0
+        self._longest = longest_answer
         self._silence = Silence(wire.silence) if wire.silence else None
-        self._no_transactions = isinstance(wire, TcpWire) and wire.rtu
-        self._client: ModbusTcpClient | _SerialClient
+        self._is_line = isinstance(wire, RtuLine) or wire.rtu
+        self._incoming: Incoming = LineIncoming() if self._is_line else MbapIncoming()
+        self._owed = 0  # answers that have not come
+        self._owed_until = 0.0
+        self._late = b""  # of them
+        self._missed: Kind | None = None  # an answer that may still come, after all
+        self._readable: tuple[int, int] | None = (
+            None  # function and address of a read that was answered
+        )
+        self._client: _TcpClient | _SerialClient
         if isinstance(wire, RtuLine):
-            self._client = _SerialClient(wire, timeout, self._on_packet)
+            self._client = _SerialClient(wire, timeout, self._sent, self._came)
         else:
-            self._client = _connected(wire, timeout, self._on_packet)
+            self._client = _connected(wire, timeout, self._sent, self._came)
 
     def turn_to(self, unit: int) -> None:
         """Talk to another unit on the same connection from now on."""
         self.where = f"{self._wire} unit {unit}"
         self._unit = unit
 
-    def _on_packet(self, sending: bool, data: bytes) -> bytes:
-        if not sending:
-            self._heard += len(data)
-        if self._trace is not None:
-            self._trace(sending, data)
+    @property
+    def oddity(self) -> str:
+        """What is not as it is to be on this link, and was borne with; ''."""
+        return self._incoming.oddity
+
+    def _sent(self, sending: bool, data: bytes) -> bytes:
+        """A request leaves; what comes is seen where it is received."""
+        if sending:
+            self._incoming.ask(data)
+            if self._trace is not None:
+                self._trace(True, data)
         return data
 
+    def _came(self, data: bytes) -> bytes:
+        if self._trace is not None:
+            self._trace(False, data)
+        return self._incoming.take(data)
+
     def _ask(
-        self, request: Callable[..., ModbusPDU], timeout: float | None, **arguments: Any
+        self,
+        request: Callable[..., ModbusPDU],
+        kind: Kind,
+        timeout: float | None,
+        *,
+        at_once: bool = False,
+        **arguments: Any,
     ) -> ModbusPDU:
-        """One request, one answer; both of pymodbus' error channels become our errors."""
+        """One request, one answer; both of pymodbus' error channels become our errors.
+
+        `at_once`: whatever may still come, for a stop.
+        """
         client = self._client
         if client.socket is None:
             raise LinkLost(f"the connection to {self.where} is closed")
+        patience = self._timeout if timeout is None else timeout
+        if self._is_line:
+            self._settle(kind, 0.0 if at_once else patience, in_cycle=timeout is not None)
         client.transaction.count_until_disconnect = _NEVER_DISCONNECT
-        client.comm_params.timeout_connect = self._timeout if timeout is None else timeout
-        client.transaction.comm_params.timeout_connect = client.comm_params.timeout_connect
-        self._heard = 0
+        client.comm_params.timeout_connect = patience
+        client.transaction.comm_params.timeout_connect = patience
         if self._silence is not None:
             self._silence.keep()
-        if self._no_transactions:
-            self._forget(client.socket)
+        client.until = perf_counter() + patience
         try:
             answer = request(device_id=self._unit, **arguments)
         except ConnectionException:
             raise LinkLost(
                 f"{self.where} closed the connection (cable, power, or too many masters?)"
             ) from None
-        except (ModbusException, OSError) as error:
-            if isinstance(error, OSError):
-                self._drop()
-                raise LinkLost(
-                    f"the connection to {self.where} broke: {error.strerror or error}"
-                ) from None
-            if self._heard:
-                raise NoAnswer(
-                    f"{self.where} answers, but not to what was asked ({self._heard} bytes within "
-                    f"{client.comm_params.timeout_connect * 1000:g} ms): is it a Modbus port, and "
-                    "the unit right?"
-                ) from None
-            raise NoAnswer(
-                f"{self.where} does not answer within "
-                f"{client.comm_params.timeout_connect * 1000:g} ms"
+        except OSError as error:
+            self._drop()
+            raise LinkLost(
+                f"the connection to {self.where} broke: {error.strerror or error}"
             ) from None
+        except ModbusException:
+            if len(self._incoming.heard) < kind.shortest:  # else it has come, and is broken
+                self._owe(kind)
+            raise NoAnswer(self._silence_text(patience)) from None
         except (IndexError, ValueError, KeyError, AttributeError, TypeError) as error:
             # a malformed answer trips the library's decoder
             raise LinkError(
@@ -144,22 +198,98 @@ class Client:
         finally:
             if self._silence is not None:
                 self._silence.begin()
+        function = answer.function_code & 0x7F
+        if function != kind.function or not _is_about(answer, arguments):
+            raise self._of_before(kind)
         if answer.isError():
             code = getattr(answer, "exception_code", 0)
             raise ExceptionAnswer(
-                f"{self.where} refuses function {answer.function_code & 0x7F}: exception {code} "
+                f"{self.where} refuses function {function}: exception {code} "
                 f"({_EXCEPTIONS.get(code, 'unknown')})",
                 code,
             )
         return answer
 
-    @staticmethod
-    def _forget(stream: Any) -> None:
-        """Drop what came late: an RTU frame does not say which request it answers."""
-        stream.setblocking(False)
-        with contextlib.suppress(OSError):
-            while stream.recv(4096):
-                pass
+    def _silence_text(self, patience: float) -> str:
+        """What came instead of an answer."""
+        within, incoming = f"within {patience * 1000:g} ms", self._incoming
+        stranger = incoming.stranger()
+        if stranger is not None:
+            return (
+                f"{self.where} does not answer {within}, but unit {stranger} answers for unit {self._unit}: "
+                "which is the drive's number? ('tworelay scan' finds it)"
+            )
+        if not incoming.heard:
+            return f"{self.where} does not answer {within}"
+        if incoming.oddity and len(incoming.heard) <= _LARGEST_ECHO:
+            return f"{self.where} does not answer {within}; all that comes is an echo: {incoming.oddity}"
+        if patience < _SHORT:
+            return (
+                f"{self.where} has not answered whole {within} ({len(incoming.heard)} bytes came): is the "
+                "link slower than that? ('tworelay latency' measures it)"
+            )
+        return (
+            f"{self.where} answers, but not to what was asked ({len(incoming.heard)} bytes {within}): is it "
+            "a Modbus port, and the unit right? ('tworelay doctor' and 'tworelay scan' look)"
+        )
+
+    # -- a line, whose answers do not say what they answer ---------------------------------------------
+
+    def _owe(self, kind: Kind) -> None:
+        """An answer did not come: it may come late."""
+        self._owed += 1
+        self._owed_until = perf_counter() + self._longest
+        self._missed = kind
+
+    def _of_before(self, kind: Kind) -> NoAnswer:
+        """An answer came late, after all; that to the last request is still to come."""
+        self._owed = max(self._owed - 1, 0)
+        self._owe(kind)
+        return NoAnswer(f"{self.where} answered to an earlier request, late")
+
+    def _settle(self, kind: Kind, patience: float, *, in_cycle: bool) -> None:
+        """Let what is owed come in, for `patience` s at most; raises NoAnswer where it does not, LinkLost.
+
+        In the cycle one that had to wait is missed. Where the late answer never came, the next request is
+        one whose answer cannot be taken for it.
+        """
+        begun = now = perf_counter()
+        until = min(self._owed_until, begun + patience)
+        is_owed = bool(self._owed)
+        is_stray = self._take_late(0.0) and not is_owed
+        while self._owed and (now := perf_counter()) < until:
+            self._take_late(until - now)
+        if not patience:
+            return
+        if self._owed and now < self._owed_until:
+            raise NoAnswer(
+                f"{self.where} still owes an answer: nothing is sent until it has come, or "
+                f"{self._longest:g} s have passed ([link] longest_answer in the profile)"
+            )
+        missed = self._missed if self._owed else None
+        self._owed, self._late, self._missed = 0, b"", None
+        if in_cycle and (is_stray or now - begun > _NO_TIME):
+            raise NoAnswer(f"{self.where} answered late: this cycle is missed")
+        if missed == kind and self._readable is not None:
+            function, address = self._readable
+            count = 1 if kind != Kind(function, 1) else 2
+            with contextlib.suppress(ExceptionAnswer):
+                self.read(function, address, count, patience)
+
+    def _take_late(self, seconds: float) -> bool:
+        """What comes within some time, or is there; whether it is a whole answer."""
+        try:
+            data = self._client.raw(seconds)
+        except (ConnectionException, OSError):
+            raise LinkLost(f"{self.where} closed the connection (cable, power?)") from None
+        if data and self._trace is not None:
+            self._trace(False, data)
+        self._late += data
+        is_whole = False
+        while length := frame_at(self._late):
+            self._late, is_whole = self._late[length:], True
+            self._owed = max(self._owed - 1, 0)
+        return is_whole
 
     def read(
         self, function: int, address: int, count: int, timeout: float | None = None
@@ -170,23 +300,36 @@ class Client:
             if function == 3
             else self._client.read_input_registers
         )
-        answer = self._ask(request, timeout, address=address, count=count)
-        return self._registers(answer, count)
+        kind = Kind(function, count)
+        answer = self._ask(request, kind, timeout, address=address, count=count)
+        self._readable = function, address
+        return self._registers(answer, count, kind)
 
     def write(
-        self, function: int, address: int, words: list[int], timeout: float | None = None
+        self,
+        function: int,
+        address: int,
+        words: list[int],
+        timeout: float | None = None,
+        *,
+        at_once: bool = False,
     ) -> None:
-        """Registers by FC 6 or 16; by FC 22 `words` are the AND and the OR mask of one register."""
+        """Registers by FC 6 or 16; by FC 22 `words` are the AND and the OR mask of one register.
+
+        `at_once`: whatever may still come, for a stop.
+        """
+        client, request = self._client, dict[str, Any](address=address)
+        send: Callable[..., ModbusPDU]
         if function == 22:
-            keep, put = words
-            self._ask(
-                self._client.mask_write_register, timeout,
-                address=address, and_mask=keep, or_mask=put,
-            )  # fmt: skip
+            send = client.mask_write_register
+            request |= {"and_mask": words[0], "or_mask": words[1]}
         elif function == 6 and len(words) == 1:
-            self._ask(self._client.write_register, timeout, address=address, value=words[0])
+            send = client.write_register
+            request |= {"value": words[0]}
         else:
-            self._ask(self._client.write_registers, timeout, address=address, values=words)
+            function, send = 16, client.write_registers
+            request |= {"values": words}
+        self._ask(send, Kind(function, 0), timeout, at_once=at_once, **request)
 
     def read_write(
         self,
@@ -197,15 +340,18 @@ class Client:
         timeout: float | None,
     ) -> list[int]:
         """Write, then read, in one transaction (FC 23)."""
+        kind = Kind(23, count)
         answer = self._ask(
             self._client.readwrite_registers,
+            kind,
             timeout,
             read_address=read_address,
             read_count=count,
             write_address=write_address,
             values=words,
         )
-        return self._registers(answer, count)
+        self._readable = 3, read_address
+        return self._registers(answer, count, kind)
 
     def post(self, function: int, address: int, words: list[int]) -> None:
         """Send a write; an answer that does not come at once is not waited for. Raises LinkLost.
@@ -213,7 +359,7 @@ class Client:
         Drives take one transaction at a time, so a second post must not overtake the first.
         """
         with contextlib.suppress(NoAnswer):
-            self.write(function, address, words, POST_ANSWER)
+            self.write(function, address, words, POST_ANSWER, at_once=True)
 
     @contextlib.contextmanager
     def answering_within(self, seconds: float) -> Generator[None]:
@@ -267,15 +413,18 @@ class Client:
     def identification(self) -> dict[int, str]:
         """Basic device identification (FC 43/14), text by object id."""
         found: dict[int, str] = {}
-        answer = self._ask(self._client.read_device_information, None, read_code=1, object_id=0)
+        kind, request = Kind(43, 0), self._client.read_device_information
+        answer = self._ask(request, kind, None, read_code=1, object_id=0)
         for key, value in getattr(answer, "information", {}).items():
             text = value if isinstance(value, bytes) else b"".join(value)
             found[int(key)] = text.decode("ascii", "replace").strip()
         return found
 
-    def _registers(self, answer: ModbusPDU, count: int) -> list[int]:
+    def _registers(self, answer: ModbusPDU, count: int, kind: Kind) -> list[int]:
         registers = list(getattr(answer, "registers", []))
         if len(registers) != count:
+            if self._is_line:
+                raise self._of_before(kind)
             raise LinkError(
                 f"{self.where} sent {len(registers)} registers where {count} were asked for"
             )
@@ -290,15 +439,66 @@ class Client:
         self._drop()
 
 
-def _connected(
-    wire: TcpWire, timeout: float, on_packet: Callable[[bool, bytes], bytes]
-) -> ModbusTcpClient:
+class _TcpClient(ModbusTcpClient):
+    """The library's client, which is given answers by `came` and not bytes.
+
+    Attributes
+    ----------
+    until : when an answer is given up, s of the performance counter
+    """
+
+    until = 0.0
+    came: Came
+
+    def raw(self, seconds: float) -> bytes:
+        """What comes within some time, as soon as anything does; raises ConnectionException, OSError."""
+        stream = self.socket
+        if stream is None:
+            raise ConnectionException(str(self))
+        stream.setblocking(False)
+        pending = getattr(stream, "pending", None)  # of TLS: decrypted, and not yet read
+        if (
+            not (pending and pending())
+            and not select.select([stream], [], [], max(seconds, 0.0))[0]
+        ):
+            return b""
+        try:
+            data: bytes = stream.recv(_CHUNK)
+        except (BlockingIOError, ssl.SSLWantReadError):
+            return b""
+        if not data:
+            self.close()  # type: ignore[no-untyped-call]
+            raise ConnectionException(str(self))
+        return data
+
+    def recv(self, size: int | None) -> bytes:
+        """The next answer, or a part of one; empty when its time has passed."""
+        return _received(self, self.came)
+
+
+class _Raw(Protocol):
+    until: float
+
+    def raw(self, seconds: float) -> bytes: ...
+
+
+def _received(client: _Raw, came: Came) -> bytes:
+    while (left := client.until - perf_counter()) > 0:
+        data = client.raw(left)
+        found = came(data) if data else b""
+        if found:
+            return found
+    return b""
+
+
+def _connected(wire: TcpWire, timeout: float, on_packet: Packet, came: Came) -> _TcpClient:
     """A client on an open socket; raises LinkError."""
     framer = FramerType.RTU if wire.rtu else FramerType.SOCKET
-    client = ModbusTcpClient(
+    client = _TcpClient(
         wire.host, port=wire.port, framer=framer, timeout=timeout, retries=0,
         trace_packet=on_packet,
     )  # fmt: skip
+    client.came = came
     place = f"{wire.host}:{wire.port}"
     try:
         plain = socket.create_connection((wire.host, wire.port), timeout)
@@ -330,13 +530,14 @@ class _SerialClient(ModbusSerialClient):
     It waits for bytes, where the library's own looks for them every millisecond.
     """
 
-    def __init__(
-        self, line: RtuLine, timeout: float, on_packet: Callable[[bool, bytes], bytes]
-    ) -> None:
+    until = 0.0
+
+    def __init__(self, line: RtuLine, timeout: float, on_packet: Packet, came: Came) -> None:
         super().__init__(
             line.port, baudrate=line.baudrate, parity=line.parity, stopbits=line.stopbits,
             timeout=timeout, retries=0, trace_packet=on_packet,
         )  # fmt: skip
+        self.came = came
         try:
             self.socket = line.opened_as(timeout).open()
         except OSError as error:
@@ -345,15 +546,29 @@ class _SerialClient(ModbusSerialClient):
             words = _WORDS.get(number, "") or (_WORDS[16] if "lock" in text else "")
             raise LinkError(f"cannot open {line.port}: {words or text}") from None
 
-    def recv(self, size: int | None) -> bytes:
-        """What there is, as soon as there is anything."""
+    def raw(self, seconds: float) -> bytes:
+        """What comes within some time, as soon as anything does; raises ConnectionException."""
         port = self.socket
         if port is None:
             raise ConnectionException(str(self))
         try:
-            port.timeout = self.comm_params.timeout_connect
+            port.timeout = max(seconds, 0.0)
             first: bytes = port.read(1)
             return first + port.read(port.in_waiting) if first else b""
         except OSError:
             self.close()  # type: ignore[no-untyped-call]
             raise ConnectionException(str(self)) from None
+
+    def recv(self, size: int | None) -> bytes:
+        """The next answer, or a part of one; empty when its time has passed."""
+        return _received(self, self.came)
+
+
+def _is_about(answer: ModbusPDU, asked: dict[str, Any]) -> bool:
+    """Whether the answer to a write names the register that was written."""
+    return (
+        "count" in asked
+        or "address" not in asked
+        or answer.isError()
+        or answer.address == asked["address"]
+    )

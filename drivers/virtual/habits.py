@@ -40,7 +40,7 @@ _KINDS = (
     (r"\.", r"(60|[1-5]?[0-9](\.[0-9]{1,6})?)", "must be a time from 0 to 60 s"),
     ("[0-9]", r"[1-9][0-9]{0,8}", "must be a whole number from 1 on"),
 )
-_EVERYWHERE = "canopen", "modbus", "virtual"
+_EVERYWHERE, _SERVED, _MODBUS = ("canopen", "modbus", "virtual"), ("canopen", "modbus"), ("modbus",)
 
 HABITS: dict[str, Habit] = {
     # what it says of itself, on any bus
@@ -76,20 +76,33 @@ HABITS: dict[str, Habit] = {
     "one-limit": Habit("6072h and 6073h are one limit: to write one is to write the other"),
     "low-current": Habit("6073h limits the torque, too, to so many per mille of rated", "400"),
     "needs-period": Habit("faults when enabled unless 60C2h says the period of the cycle"),
-    # its SDO server
+    # its answers
+    "slow-answer": Habit("SDO, or a request, is answered after so many s", "0.05", _SERVED),
+    "busy": Habit(
+        "every so many-th access is refused for now (0800 0022h, exception 6)", "7", _SERVED
+    ),
+    "slow-save": Habit("'save' is answered after so many s", "1.5", _SERVED),
+    "silent-save": Habit(
+        "for so many s after 'save' nothing is answered, the 'save' neither", "3.0", _SERVED
+    ),
+    "busy-save": Habit(
+        "for so many s after 'save' every access is refused for now", "2.0", _SERVED
+    ),
+    "slow-boot": Habit("nothing is answered for so many s after the first request", "1.5", _SERVED),
     "short-sdo": Habit("SDO answers are as long as they need to be, not 8 bytes"),
     "unsized": Habit("SDO answers do not tell how many bytes count"),
     "segmented": Habit("every SDO answer comes in segments"),
-    "slow-answer": Habit("SDO is answered after so many s", "0.05"),
-    "busy": Habit("every so many-th SDO access is refused for now (0800 0022h)", "7"),
-    "slow-save": Habit("'save' is answered after so many s", "1.5"),
-    "silent-save": Habit(
-        "for so many s after 'save' no SDO is answered, the 'save' neither", "3.0"
-    ),
-    "busy-save": Habit("for so many s after 'save' every SDO access is refused for now", "2.0"),
-    "slow-boot": Habit(
-        "nothing is answered for so many s after the first frame; then it has booted", "1.5"
-    ),
+    # on Modbus, its own, its gateway's and its adapter's
+    "mute43": Habit("function 43 is never answered", "", _MODBUS),
+    "no-target": Habit("every so many-th request gets a gateway's exception 0Bh", "50", _MODBUS),
+    "other-unit": Habit("answers carry this unit (256: 0)", "256", _MODBUS),
+    "echo": Habit("a two-wire adapter that hears itself", "", _MODBUS),
+    "fragments": Habit("answers come in pieces of three bytes", "", _MODBUS),
+    "noise": Habit("three bytes of noise before every so many-th answer", "50", _MODBUS),
+    "lost-answer": Habit("every so many-th request is done, and not answered", "50", _MODBUS),
+    "irregular": Habit("answers come after any time up to so many s", "0.02", _MODBUS),
+    "low-first": Habit("32-bit values have their low word first", "", _MODBUS),
+    "off-by-one": Habit("register addresses are counted from 1", "", _MODBUS),
     # its network management, errors and PDOs
     "lenient": Habit("stays operational when the heartbeat of its master is lost (1029h:01 = 1)"),
     "refuses-start": Habit("is not started while the communication bit of 1001h stands"),

@@ -79,19 +79,11 @@ class Layout:
     bits: dict[int, tuple[tuple[Entry, int], ...]] = field(default_factory=dict)
     low_first: frozenset[int] = frozenset()
     filled: frozenset[int] = frozenset()
-    functions: frozenset[int] = frozenset({3, 4, 6, 16, 22, 23})
+    functions: frozenset[int] = frozenset({3, 4, 6, 16, 22, 23, 43})
     identity: tuple[str, str, str] = (VENDOR, PRODUCT, REVISION)
     traffic_feeds: bool = False
     mailbox: Mailbox | None = None
     posted: Mapping[tuple[int, int], Entry] = field(default_factory=dict)
-
-    @property
-    def span(self) -> tuple[int, int]:
-        """First register, and the one after the last."""
-        every = {*self.registers, *self.bits, *self.filled}
-        if self.mailbox is not None:
-            every |= {self.mailbox.pnu, self.mailbox.data}
-        return min(every), max(every) + 4
 
 
 OWN = Layout(

@@ -91,27 +91,30 @@ async def _serve(
             loop.add_signal_handler(number, stop, int(number))
 
     def registers() -> RegisterMap:
-        from drivers.virtual.registers import RegisterMap
+        from drivers.virtual.habitual_slave import bent
+        from drivers.virtual.registers import OWN, RegisterMap
         from drivers.virtual.twin import modbus_twin
 
         twin_of = endpoints.twin_of
         habits = endpoints.habits.for_bus("modbus")
         if twin_of is None:
-            return RegisterMap(device, habits=habits)
+            return RegisterMap(device, bent(OWN, habits), habits=habits)
         return modbus_twin(twin_of, device, habits)
 
     async with contextlib.AsyncExitStack() as stack:
         poll: Callable[[], None] = device.catch_up
         try:
             if endpoints.modbus_tcp is not None:
-                announce(await _modbus(stack, registers(), endpoints.modbus_tcp) + suffix)
+                place = endpoints.modbus_tcp
+                announce(await _modbus(stack, registers(), place, endpoints.habits) + suffix)
             if endpoints.modbus_rtu_tcp is not None:
                 place = endpoints.modbus_rtu_tcp
-                announce(await _modbus(stack, registers(), place, rtu=True) + suffix)
+                habits = endpoints.habits
+                announce(await _modbus(stack, registers(), place, habits, rtu=True) + suffix)
             if endpoints.modbus_rtu_pty:
                 of = endpoints.twin_of
                 baudrate = (of and of.link.baudrate) or BAUDRATE
-                announce(await _serial(stack, registers(), baudrate) + suffix)
+                announce(_serial(stack, registers(), endpoints.habits, baudrate) + suffix)
             if endpoints.socketcand is not None or endpoints.slcan_pty:
                 poll, links = await _canopen(stack, device, endpoints)
                 for link in links:
@@ -154,30 +157,31 @@ async def _modbus(
     stack: contextlib.AsyncExitStack,
     registers: RegisterMap,
     place: tuple[str, int],
+    habits: Habits,
     *,
     rtu: bool = False,
 ) -> str:
-    from drivers.virtual.modbus_server import start_modbus_tcp
+    from drivers.virtual.habitual_slave import framings
+    from drivers.virtual.modbus_server import ModbusServer
 
-    server, port = await start_modbus_tcp(registers, *place, UNIT, rtu=rtu)
+    server = ModbusServer(framings(registers, UNIT, habits, rtu=rtu))
     stack.callback(server.let_go)
+    port = await server.start(*place)
     scheme = "modbus-rtu-tcp" if rtu else "modbus-tcp"
     return f"{scheme}://{_host(place[0])}:{port}?unit={UNIT}"
 
 
-async def _serial(stack: contextlib.AsyncExitStack, registers: RegisterMap, baudrate: int) -> str:
-    from drivers.virtual.modbus_server import start_modbus_tcp
+def _serial(
+    stack: contextlib.AsyncExitStack, registers: RegisterMap, habits: Habits, baudrate: int
+) -> str:
+    from drivers.virtual.habitual_slave import framings
+    from drivers.virtual.modbus_server import SerialLine
 
     try:
-        from drivers.virtual.rtu_pty import RtuPty
-
-        line = RtuPty()
+        line = SerialLine(framings(registers, UNIT, habits, rtu=True)())
     except ImportError:
         raise UsageError("this system has no pseudo-terminals: use --modbus-rtu-tcp") from None
-    server, port = await start_modbus_tcp(registers, "127.0.0.1", 0, UNIT, rtu=True)
-    stack.callback(server.let_go)
-    await line.join(port)
-    stack.push_async_callback(line.close)
+    stack.callback(line.close)
     return f"modbus-rtu://{line.path}?baudrate={baudrate}&unit={UNIT}"
 
 

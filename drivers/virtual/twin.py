@@ -12,6 +12,7 @@ from drivers.virtual.axes import VirtualAxis
 from drivers.virtual.device import Device
 from drivers.virtual.dictionary import SIMULATION, Dictionary
 from drivers.virtual.habits import NONE, Habits
+from drivers.virtual.habitual_slave import bent
 from drivers.virtual.mirror import Entry
 from drivers.virtual.objects import MODES
 from drivers.virtual.registers import CLOCK, Layout, RegisterMap
@@ -55,9 +56,11 @@ _NAMES = {"mode_of_operation": "mode", "serial_number": "serial"}
 # CiA 402's, which only a habit makes
 _OPTIONAL = {0x6073, 0x607B, 0x607E, 0x6091, 0x6092, 0x6093, 0x60C2, 0x100C, 0x100D}
 _ELSEWHERE = {0x1010, 0x1016, 0x1018}  # communication objects, which the node itself has
+_MARK = 0x7457
 _CLOCK = {
     CLOCK: Entry(("simulation_cycle",), "I"),
     CLOCK + 2: Entry(("simulation_advance",), "I"),
+    CLOCK + 4: Entry((), "H", "ro", default=_MARK, name="mark of a twin"),
 }
 RATED_CURRENT = 2.0  # A, of every virtual motor
 
@@ -126,6 +129,7 @@ def modbus_twin(profile: Profile, device: Device, habits: Habits = NONE) -> Regi
     functions = {3, 6, 16} | {at.write_function for at in plain}
     functions |= {at.read_function for at in plain}
     functions |= {23} if profile.cycle.function == "fc23" else set()
+    functions |= {43} if profile.identity.asked else set()
     who = profile.identity
     name = f"twin of {profile.name}"
     layout = Layout(
@@ -145,7 +149,7 @@ def modbus_twin(profile: Profile, device: Device, habits: Habits = NONE) -> Regi
         posted,
     )
     keeps = profile.store is not None and not profile.store.steps
-    return RegisterMap(device, layout, switchgear, keeps=keeps, habits=habits)
+    return RegisterMap(device, bent(layout, habits), switchgear, keeps=keeps, habits=habits)
 
 
 def _modbus(parameter: Parameter) -> ModbusAddress:

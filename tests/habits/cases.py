@@ -66,12 +66,18 @@ class Case:
 
 
 def survives(
-    *habits: str, says: str = "", job: str = "identify", options: tuple[str, ...] = ()
+    *habits: str,
+    says: str = "",
+    job: str = "identify",
+    options: tuple[str, ...] = (),
+    on: dict[str, tuple[int, str]] | None = None,
 ) -> Case:
     """A case in which the job is done."""
-    return Case(habits, says=says, job=job, options=options)
+    return Case(habits, says=says, job=job, options=options, on=on or {})
 
 
+# on a serial line another unit's answer is another drive's
+_ON_LINES = dict.fromkeys(("modbus-rtu", "modbus-rtu-tcp"), (4, "answers for unit 1"))
 _STORED = "stored in the drive's non-volatile memory"
 # on any bus
 VALUES = [
@@ -137,7 +143,29 @@ CANOPEN = [
     survives("feed", "wrap", "polarity", "busy"),
     survives("fixed-pdo", "own-ids", "refuses-start", "needs-period"),
 ]
-CASES = {"canopen": [*VALUES, *CANOPEN], "modbus": VALUES, "virtual": VALUES}
+MODBUS = [
+    survives("slow-answer=0.02"),
+    survives("busy"),
+    survives("slow-save", job="commission", says=_STORED),
+    survives("silent-save", job="commission", says=_STORED),
+    survives("busy-save", job="commission", says=_STORED),
+    survives("slow-boot"),
+    survives("mute43"),
+    survives("no-target"),
+    survives("other-unit", on=_ON_LINES),
+    survives("other-unit=255", on=_ON_LINES),
+    Case(("other-unit=7",), (4, "unit 7 answers for unit 1")),
+    Case(("echo",), on={"modbus-tcp": (4, "")}),
+    survives("fragments"),
+    survives("noise", on={"modbus-tcp": (4, "")}),
+    survives("lost-answer"),
+    survives("irregular"),
+    Case(("low-first",), (3, "'encoder_revolutions' (register 0304h")),
+    Case(("off-by-one",), (3, "'encoder_revolutions' (register 0304h")),
+    survives("busy", "wrap", "slow-reset", "fragments"),
+    survives("slow-boot", "mute43", "lost-answer"),
+]
+CASES = {"canopen": [*VALUES, *CANOPEN], "modbus": [*VALUES, *MODBUS], "virtual": VALUES}
 _PROFILES = {"canopen": ("cia402", "virtual-canopen"), "modbus": ("virtual-modbus",) * 2}
 
 

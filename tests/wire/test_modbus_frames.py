@@ -188,13 +188,13 @@ def test_bits_leave_the_rest_of_their_register_alone(function: int) -> None:
 
 @pytest.mark.parametrize("code", range(1, 12))
 def test_acknowledge_and_busy_are_not_yet_and_any_other_exception_is_no(code: int) -> None:
-    """Modbus application protocol 7: 05 acknowledge, 06 server device busy."""
+    """Application protocol 7: acknowledge, server busy; gateway's path unavailable, its target silent."""
     request = "00 01 00 00 00 06 01 03 03 00 00 02"
     with peer([(request, f"00 01 00 00 00 03 01 83 {code:02X}")]) as (port, _):
         client = Client(TcpWire("127.0.0.1", port), 1, 1.0)
         with pytest.raises(AccessDenied) as caught:
             client.read(3, 0x0300, 2)
-        assert caught.value.busy is (code in (5, 6))
+        assert caught.value.busy is (code in (5, 6, 10, 11))
         client.close()
 
 

@@ -10,9 +10,11 @@ from typing import NamedTuple
 from commissioning.journal import Intent, Journal, Kind
 from drivers.drive import Drive
 from profiles.commands import SET, commands_of
-from profiles.errors import JournalError, LinkError, TwoRelayError, WriteFailed
+from profiles.errors import JournalError, LinkError, TwoRelayError, WriteDenied, WriteFailed
 
 __all__ = ["Restored", "Return", "Settings", "planned", "put_back", "settle"]
+
+_NO_MODE = 0
 
 
 @dataclass
@@ -23,6 +25,7 @@ class Restored:
     already: list[str] = field(default_factory=list)
     skipped: dict[str, str] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
+    left: dict[str, str] = field(default_factory=dict)  # as it is, and that does no harm
 
     @property
     def complete(self) -> bool:
@@ -35,7 +38,8 @@ class Restored:
             parts.append("restored " + _listed(self.restored))
         if self.already:
             parts.append("at their old values already " + _listed(self.already))
-        for what, found in (("skipped", self.skipped), ("failed", self.failed)):
+        every = ("skipped", self.skipped), ("failed", self.failed), ("left", self.left)
+        for what, found in every:
             for why in dict.fromkeys(found.values()):
                 names = [name for name in found if found[name] == why]
                 parts.append(f"{what} {_listed(names)} ({why})")
@@ -144,7 +148,7 @@ class Settings:
 
 def settle(journal: Journal, intents: list[Intent], outcome: Restored) -> None:
     """Mark as restored what is; a journal that fails here is reported with the rest."""
-    done = {*outcome.restored, *outcome.already}
+    done = {*outcome.restored, *outcome.already, *outcome.left}
     settled = [intent for intent in intents if intent.parameter in done]
     try:
         journal.settle([intent.seq for intent in settled], "restored")
@@ -255,7 +259,13 @@ class _Back:
             return
         if name in self._commands.names and self._drive.is_energised():
             raise WriteFailed("not put back while the drive is enabled")
-        self._drive.write_raw(name, plan.old)
+        try:
+            self._drive.write_raw(name, plan.old)
+        except WriteDenied as denied:
+            if name != "mode_of_operation" or plan.old != _NO_MODE or denied.busy:
+                raise
+            outcome.left[name] = "the drive does not take 'no mode' (0) back; it has no energy"
+            return
         outcome.restored.append(name)
 
 

@@ -19,6 +19,7 @@ _COUNTED_IN_INCREMENTS = {Unit.INCREMENT, Unit.INCREMENT_PER_SECOND}
 _POSITION_TURNED, _VELOCITY_TURNED = 0x80, 0x40  # of 607Eh, polarity (CiA 402-2, 10.3.20)
 _ENCODER = 0x608F
 _FEWEST = 200  # position units a revolution: fewer are a default that nobody has set
+_LARGEST_PERIOD = 255  # 8 bits
 _ALIKE = 1e-6  # of two ratios that are one
 _ASKED = "give encoder (position units a motor revolution) in the axis file, or set up the drive"
 
@@ -43,14 +44,13 @@ def read_bases(profile: Profile, axis: Axis, read: Read) -> Scaling:
 
 def interpolation_period(cycle: float) -> tuple[int, int]:
     """60C2h:01 and :02 of a cycle (s): so many times ten to that power; the finest that fits 8 bits."""
-    for exponent in (-6, -5, -4, -3):
-        told = round(cycle / 10**exponent)
-        if told <= 255:
-            break
+    exponent = -6
+    while (told := round(cycle / 10**exponent)) > _LARGEST_PERIOD:
+        exponent += 1
     # the usual way to say it: 5 ms are 5e-3, and not 50e-4
-    while told % 10 == 0 and exponent < -3:
+    while told % 10 == 0 and exponent < 0:
         told, exponent = told // 10, exponent + 1
-    return min(told, 255), exponent
+    return told, exponent
 
 
 def _torque_constant(profile: Profile, axis: Axis, rated: float, read: Read) -> float:

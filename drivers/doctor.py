@@ -18,7 +18,7 @@ from typing import Literal
 from drivers.home import home
 from drivers.link import modbus_wire, open_can
 from drivers.link_text import Link, parse
-from profiles.errors import LinkError, NoAnswer, TwoRelayError
+from profiles.errors import AccessDenied, LinkError, NoAnswer, TwoRelayError
 from profiles.schema import LinkDefaults, Patience
 
 __all__ = ["Finding", "of_link", "of_machine"]
@@ -204,7 +204,7 @@ def _of_canopen(link: Link, tell: Callable[[str], None]) -> Iterator[Finding]:
             nodes = survey(bus, 0.2)
             if wanted is not None and wanted not in [n.number for n in nodes if n.identity]:
                 tell(f"asking node {wanted} as a job does")
-                with contextlib.suppress(NoAnswer):
+                with contextlib.suppress(NoAnswer, AccessDenied):
                     nodes.append(ask(bus, wanted, LinkDefaults().service_timeout, Patience().boot))
         except LinkError as error:
             yield Finding(

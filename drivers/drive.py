@@ -64,6 +64,7 @@ class Drive(Protocol):
     cycle: float
     in_real_time: bool  # its cycle is the clock's, and not counted
 
+    dispensable: frozenset[str]  # parameters that are set where the drive takes them
     lacking: tuple[str, ...]  # what it does not have of its profile, in words
 
     def identity(self) -> Identity:
@@ -235,6 +236,9 @@ class Bus(Protocol):
 
     def other_master(self) -> str:
         """What another master sent on the same bus, or ''."""
+
+    def refused_posts(self) -> list[tuple[Address, int]]:
+        """Posts that the drive has refused for now, since this was asked last."""
 
     def trouble(self) -> str:
         """Last thing that the drive reported by itself (an emergency), or ''."""

@@ -59,7 +59,8 @@ def words(code: int) -> str:
     found = _CODES.get(code)
     if found is not None:
         return found
-    return _CLASSES.get(code >> 8) or _CLASSES.get(code >> 12) or ""
+    by_class = _CLASSES.get(code >> 8) if code >> 12 else None
+    return by_class or _CLASSES.get(code >> 12) or ""
 
 
 def is_of_communication(code: int) -> bool:

@@ -286,7 +286,10 @@ def _open_canopen(
         patience = 0.0 if to_stop else (profile.link if profile else LinkDefaults()).patience
         boot = 0.0 if to_stop else (profile.patience if profile else Patience()).boot
         identity = when_up(lambda: identify(wire, patience), boot, timeout)
-        chosen = _armed_with(_agree(identity, "canopen", profile), axis)
+        if to_stop and profile is not None and set(identity.numbers) == {0}:
+            chosen = profile  # it is busy, or has none: whatever it is, it is to be stopped
+        else:
+            chosen = _armed_with(_agree(identity, "canopen", profile), axis)
         lacking: tuple[str, ...] = ()
         if not to_stop:  # which asks nothing before it stops
             chosen, lacking = as_it_is(
@@ -295,7 +298,9 @@ def _open_canopen(
                 can_guard=wire.can_guard,
             )
         pace = _pace(link, cycle or chosen.link.cycle)
-        return CanopenBus(wire, chosen, pace, lacking), chosen
+        bus = CanopenBus(wire, chosen, pace, lacking)
+        wire.restarted = False  # from here on a boot-up message says that all is lost
+        return bus, chosen
     except BaseException:
         wire.close()
         raise

@@ -202,6 +202,8 @@ class Cia402Power:
             reached = height
             step = cia402.next_controlword(word, enabled=enabled)
             if step is not None and sent != (here, step):
+                if step == cia402.ENABLE:
+                    turn()  # which notices a drive that has restarted
                 if at is not None:
                     frame[at] = step
                 self._tell(step, turn)

@@ -58,6 +58,8 @@ class ProfiledDrive:
     them, so that nothing stands between the user and `stop`.
     """
 
+    dispensable = frozenset({"interpolation_time", "interpolation_exponent", "quick_stop_option"})
+
     def __init__(
         self, bus: Bus, profile: Profile, axis: Axis, link: str, *, to_stop: bool = False
     ) -> None:
@@ -391,6 +393,10 @@ class ProfiledDrive:
         self._patiently(lambda: self._bus.write(target.address, self._rest_raw))
         self._verify(code.set_point, target, self._rest_raw)
         self._bus.start(self._frame(self._rest_raw))
+        if code.code is not None and self.read_raw("mode_display") != code.code:
+            raise PreflightRefused(
+                f"the drive has left mode {code.code} by itself, before it was enabled: was it restarted?"
+            )
         self._energised = True
         self._power.enable(list(self._frame(self._rest_raw)))
 
@@ -467,8 +473,12 @@ class ProfiledDrive:
             return
         try:
             self._bus.write(address, code)
-        except WriteDenied:
+        except WriteDenied as error:
             control = self.profile.parameters.get("controlword")
+            if not error.busy:
+                raise WriteDenied(
+                    f"{error}; has this drive mode {code}? (6502h, and [[modes]] of its profile)"
+                ) from None
             if self.profile.power is not None or control is None:
                 raise
             self._patiently(lambda: self._bus.write(control.address, cia402.DISABLE_VOLTAGE))

@@ -81,8 +81,14 @@ class _Said:
             except Exception as error:
                 self.fail(error)
 
+    def forget(self) -> None:
+        """What was refused is not to be done any more."""
+        self._bus.refused_posts()
+        self.refused.clear()
+
     def again(self) -> None:
         """What was refused for now, in its order."""
+        self.refused += self._bus.refused_posts()
         waiting = self.refused.copy()
         self.refused.clear()
         self.post(waiting)
@@ -179,7 +185,7 @@ class StopPath:
             perform(self._profile.stop)
         if not hurry():
             said.attempt(lambda: self._await_standstill(hurry, said.again))
-        said.refused.clear()  # a quick stop after it would be one too many
+        said.forget()  # a quick stop after it would be one too many
         perform(self._profile.disable)
         state: bool | None = None
         deadline = self._bus.now() + self._profile.stop_time
@@ -196,6 +202,8 @@ class StopPath:
                 break
             said.again()
             said.attempt(lambda: self._bus.wait(_POLL))
+        if not state and said.refused:
+            said.failures.append("the drive says that it is busy, and takes no command")
         return StopReport(state, tuple(dict.fromkeys(said.failures)))
 
     def _await(self, step: Step, hurry: Callable[[], bool]) -> None:

@@ -83,7 +83,7 @@ def _run(
             try:
                 work(job, result)
             finally:
-                result["notes"] += noted(guardian)
+                result["notes"] += [*drive.lacking, *noted(guardian)]
         result["status"] = "completed"
     except TwoRelayError as error:
         result["friction"] = blank(axis, drive.link, drive.profile, identity)["friction"]

@@ -136,7 +136,7 @@ class Measurement:
         failure: BaseException | None = None
         try:
             with self.desk.interruption.deferred():
-                set_limits(self.drive, self.settings, self.limits)
+                set_limits(self.drive, self.settings, self.limits, self.desk.tell)
             return work()
         except BaseException as error:
             failure = error

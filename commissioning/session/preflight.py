@@ -12,7 +12,7 @@ from commissioning.session.desk import Options
 from commissioning.settings import Settings
 from drivers.drive import SET, Drive
 from profiles.axis import Axis
-from profiles.errors import DriveFault, PreflightRefused, UsageError
+from profiles.errors import DriveFault, PreflightRefused, UsageError, WriteDenied
 from profiles.schema import Mode
 
 __all__ = [
@@ -210,10 +210,17 @@ def widen_speed(drive: Drive, settings: Settings, speed: float) -> None:
         settings.write("experiment", name, max(1, min(raw, most)) if most > 0 else raw)
 
 
-def set_limits(drive: Drive, settings: Settings, limits: Limits) -> None:
+def set_limits(
+    drive: Drive, settings: Settings, limits: Limits, tell: Callable[[str], None]
+) -> None:
     """Write the drive-side limits and arm the watchdog; refused when the drive does not take them."""
     for name, raw in writes(drive, limits).items():
-        settings.write("experiment", name, raw)
+        try:
+            settings.write("experiment", name, raw)
+        except WriteDenied as denied:
+            if denied.busy or name not in drive.dispensable:
+                raise
+            tell(f"{denied}: it stays at {drive.read_raw(name)}, and the job goes on without")
     for name in SET & set(drive.profile.cycle.out):
         settings.remember(name)
     settings.remember_power()

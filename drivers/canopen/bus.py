@@ -37,12 +37,13 @@ from profiles.errors import (
     LinkError,
     LinkLost,
     PreflightRefused,
+    ProfileError,
     TwoRelayError,
     UsageError,
     WriteDenied,
     WriteFailed,
 )
-from profiles.schema import Address, CanopenAddress, Identity, Profile
+from profiles.schema import Access, Address, CanopenAddress, Identity, Profile
 
 __all__ = ["CanopenBus", "identify", "sync_period"]
 
@@ -58,6 +59,7 @@ _COMMANDS: dict[int | None, int] = {
 _STATES = {0x00: "booting", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 _HEARTBEAT_EVERY = 100  # ms, asked of a node that has none
 _HEARTBEATS_MISSED = 3
+_FIRST_BEAT, _FIRST_ANSWER = 1.0, 0.05  # s that are waited for it
 _CONSUMER_BEGINS = 0.005  # s from the first beat to the second, before the node is started again
 _SYNCS_LOOKED_AT = 20
 _SYNC_PATIENCE = 1.0  # s
@@ -71,14 +73,14 @@ T = TypeVar("T")
 
 
 def identify(wire: CanWire, patience: float = 0.0) -> Identity:
-    """Identity object 1018h; a node that is busy is asked again for `patience` s."""
+    """Identity object 1018h; a node that is busy is asked again for `patience` s, and with none has none."""
     numbers = []
     for sub in (1, 2, 3, 4):
         try:
             data = patiently(partial(wire.upload, 0x1018, sub), patience, wire.let_pass)
             numbers.append(int.from_bytes(data[:4], "little"))
         except AccessDenied as error:
-            if error.busy:
+            if error.busy and patience:
                 raise
             numbers.append(0)
     vendor, product, revision, serial = (f"0x{number:08X}" for number in numbers)
@@ -104,6 +106,11 @@ class CanopenBus:
         cycle = profile.cycle
         self._out = [_canopen(profile.parameters[name].address) for name in cycle.out]
         self._in = [_canopen(profile.parameters[name].address) for name in cycle.in_]
+        self._written = {
+            (at.index, at.sub)
+            for at, access in ((p.address, p.access) for p in profile.parameters.values())
+            if isinstance(at, CanopenAddress) and access is not Access.READ_ONLY
+        }
         self._widths: dict[CanopenAddress, int] = {}  # bytes, where they are not the profile's
         self._rpdo = Pdo(
             0x1400 + cycle.rpdo - 1,
@@ -114,6 +121,7 @@ class CanopenBus:
         self._tpdo = Pdo(
             0x1800 + cycle.tpdo - 1, _EVERY_SYNC, 0x80 + 0x100 * cycle.tpdo + wire.node, self._in
         )
+        self._posted: dict[tuple[int, int], tuple[Address, int]] = {}
         self._old: Objects = {}  # what was there before `start`
         self._running = False
         self._state_before: int | None = (
@@ -161,7 +169,7 @@ class CanopenBus:
         data = self._wire.upload(at.index, at.sub)
         width = struct.calcsize(code_of(at))
         if len(data) != width and self._wire.is_sized:
-            if len(data) < min(width, 2) or len(data) not in (1, 2, 4, 8):
+            if len(data) < min(width // 2, 2) or len(data) not in (1, 2, 4, 8):
                 raise LinkError(
                     f"{at} has {len(data)} byte{'s' * (len(data) != 1)} in the drive, and {width} in profile "
                     f"'{self._profile.name}': does its value lie behind sub-index 1? Then it needs a profile "
@@ -205,8 +213,15 @@ class CanopenBus:
             frame = list(self._idle)
             frame[self._out.index(at)] = raw
             self._idle = tuple(frame)
-            self._wire.send(self._rpdo.cob_id, self._rpdo.pack(self._idle))
+            with contextlib.suppress(struct.error):  # whatever it is, the SDO goes out
+                self._wire.send(self._rpdo.cob_id, self._rpdo.pack(self._idle))
+        self._posted[at.index, at.sub] = address, raw
         self._wire.post_download(at.index, at.sub, self._packed(at, raw))
+
+    def refused_posts(self) -> list[tuple[Address, int]]:
+        """Posts that the node has refused for now, since this was asked last."""
+        refused, self._wire.refused_posts = self._wire.refused_posts, []
+        return [self._posted[at] for at in refused if at in self._posted]
 
     def descriptor(self) -> int | None:
         """Of a serial adapter; other adapters are shared."""
@@ -252,10 +267,11 @@ class CanopenBus:
                 self._set_up(pdo, there, wanted)
         self._wire.listen_tpdo(self._tpdo.cob_id)
         self._wire.nmt(NMT_OPERATIONAL)
-        self._wire.restarted = False
         self._wire.heard_at = perf_counter()
         self._running = True
         self._beat()  # the drive watches from the first one on: before it is enabled, not after
+        self._wire.drain()
+        self._supervise()
 
     def _set_up(self, pdo: Pdo, there: Objects, wanted: Objects) -> None:
         """Map a PDO, as wide as the drive has its objects.
@@ -264,36 +280,61 @@ class CanopenBus:
         PreflightRefused, ProfileError.
         """
         try:
-            self._map(pdo, wanted, there)
+            self._map(pdo, wanted)
         except WriteDenied as denied:
+            if denied.busy:
+                raise
+            too_much: ProfileError | None = None
             if self._is_wider(pdo):
-                pdo.plan(self._widths)
-                with contextlib.suppress(WriteDenied):
-                    self._map(pdo, pdo.wanted(there), None)
+                try:
+                    pdo.plan(self._widths)
+                    self._map(pdo, pdo.wanted(there))
+                except ProfileError as error:
+                    too_much = error
+                except WriteDenied:
+                    pass
+                else:
                     return
-            with contextlib.suppress(AccessDenied):  # as far as it takes them
-                self._configure(
-                    pdo.communication,
-                    {**there, (pdo.communication, 2): pdo.transmission},
-                    self._there(pdo.communication),
-                )
-            kept = self._there(pdo.communication)
-            missing = pdo.missing_in(kept)
-            wrong = [f"it lacks {' '.join(missing)}"] if missing else []
-            if kept[pdo.communication, 1] & OFF:
-                wrong.append("it is switched off")
-            if kept[pdo.communication, 2] != pdo.transmission and pdo is self._tpdo:
-                wrong.append(f"its transmission type is {kept[pdo.communication, 2]}, and not 1")
-            if wrong:
-                raise PreflightRefused(
-                    f"the mapping of {pdo.mapping:04X}h cannot be changed ({denied}), and as it is "
-                    f"{' and '.join(wrong)}: map it with the drive's own software, or write a profile whose "
-                    "[cycle] says rpdo, tpdo, out and in as the drive has them"
-                ) from None
-            pdo.adopt(kept, self._uploaded)
+            try:
+                self._keep_its_mapping(pdo, there, denied)
+            except PreflightRefused as refused:
+                raise too_much or refused from None
 
-    def _map(self, pdo: Pdo, wanted: Objects, there: Objects | None) -> None:
-        self._configure(pdo.communication, wanted, there)
+    def _keep_its_mapping(self, pdo: Pdo, there: Objects, denied: WriteDenied) -> None:
+        """Make do with the mapping that the drive has; raises PreflightRefused, saying what it lacks."""
+        communication = pdo.communication
+        for objects in ({**there, (communication, 2): pdo.transmission}, there):
+            with contextlib.suppress(AccessDenied):
+                self._configure(communication, objects)
+                break
+        kept = self._there(communication)
+        if kept[communication, 2] != pdo.transmission:  # it may take that, and not its COB-ID
+            with contextlib.suppress(AccessDenied):
+                self._download((communication, 2), pdo.transmission)
+                kept = self._there(communication)
+        wrong = []
+        if missing := pdo.missing_in(kept):
+            wrong.append(f"it lacks {' '.join(missing)}")
+        foreign = [at for at in pdo.foreign_in(kept) if at in self._written]
+        if foreign and pdo is self._rpdo:
+            names = " ".join(name_of(at) for at in foreign)
+            wrong.append(f"it carries {names}, which the job sets by itself")
+        if odd := pdo.odd_in(kept):
+            wrong.append(f"it has an entry of {odd} bits, which is none of 8, 16, 32 or 64")
+        if kept[communication, 1] & OFF:
+            wrong.append("it is switched off")
+        if kept[communication, 2] != pdo.transmission and pdo is self._tpdo:
+            wrong.append(f"its transmission type is {kept[communication, 2]}, and not 1")
+        if wrong:
+            raise PreflightRefused(
+                f"PDO {communication:04X}h, {pdo.mapping:04X}h cannot be set up ({denied}), and as it is "
+                f"{' and '.join(wrong)}: map it with the drive's own software, or write a profile whose "
+                "[cycle] says rpdo, tpdo, out and in as the drive has them"
+            ) from None
+        pdo.adopt(kept, self._uploaded if pdo is self._rpdo else None)
+
+    def _map(self, pdo: Pdo, wanted: Objects) -> None:
+        self._configure(pdo.communication, wanted)
         self._check_mapping(pdo)
 
     def _is_wider(self, pdo: Pdo) -> bool:
@@ -309,6 +350,8 @@ class CanopenBus:
     def _start_again(self) -> None:
         """A node that has lost our heartbeat is not operational any more (1029h:01 = 0)."""
         self._beat()
+        self._wire.drain()
+        self._supervise()
         if not self._watched_by:
             return
         self.wait(_CONSUMER_BEGINS)
@@ -327,8 +370,9 @@ class CanopenBus:
             if not agree(there, wanted):
                 there |= self._beyond(pdo, there)
                 found |= {name_of(at): (old, wanted.get(at, 0)) for at, old in there.items()}
-        if self.in_real_time and self._heartbeat_time() == 0:
-            found[name_of(HEARTBEAT_PRODUCER)] = 0, _HEARTBEAT_EVERY
+        every = self._heartbeat_time() if self.in_real_time else None
+        if every is not None and every != self._heartbeat_wanted(every):
+            found[name_of(HEARTBEAT_PRODUCER)] = every, self._heartbeat_wanted(every)
         return found
 
     def put_back(self, old: dict[str, int]) -> bool:
@@ -387,7 +431,7 @@ class CanopenBus:
         if there == used and not lies:
             return False
         self._wire.nmt(NMT_PRE_OPERATIONAL)
-        self._configure(communication, used, there, lies)
+        self._configure(communication, used, lies)
         there = self._there(communication)
         if not agree(there, used):
             wrong = [name_of(at) for at, raw in used.items() if there.get(at) != raw]
@@ -415,30 +459,34 @@ class CanopenBus:
         self,
         communication: int,
         objects: Objects,
-        there: Objects | None = None,
         unused: Objects | None = None,
     ) -> None:
         """Write the parameters of one PDO in the order of CiA 301, 7.5.2.36: off, entries, on.
 
-        Of `unused` entries, which do not count, what the drive does not take stays: it has no effect. A
-        mapping that is `there` as it shall be is not written.
+        Entries that lie there as they shall are not written: some drives refuse that. Of `unused` ones, which
+        do not count, what the drive does not take stays: it has no effect.
         """
         mapping = communication + MAPPING
         number = objects[communication, 1]
 
         def entries(of: Objects) -> Objects:
-            return {at: raw for at, raw in of.items() if at[0] == mapping}
+            return {at: raw for at, raw in of.items() if at[0] == mapping and at[1]}
 
         self._download((communication, 1), number | OFF)
         self._download((communication, 2), objects[communication, 2])
-        if unused or there is None or entries(there) != entries(objects):
+        count, wanted = objects[mapping, 0], entries(objects)
+        is_so = self._number(mapping, 0) == count and all(
+            self._lies(at) == raw for at, raw in wanted.items()
+        )
+        if unused or not is_so:
             self._download((mapping, 0), 0)
-            for sub in range(1, objects[mapping, 0] + 1):
-                self._download((mapping, sub), objects[mapping, sub])
+            for at, raw in wanted.items():
+                if self._lies(at) != raw:
+                    self._download(at, raw)
             for at, raw in (unused or {}).items():
                 with contextlib.suppress(AccessDenied):
                     self._download(at, raw)
-            self._download((mapping, 0), objects[mapping, 0])
+            self._download((mapping, 0), count)
         self._download((communication, 1), number)
 
     def _check_mapping(self, pdo: Pdo) -> None:
@@ -449,6 +497,13 @@ class CanopenBus:
                 f"the drive did not take the mapping of {mapping:04X}h: it reads "
                 + ", ".join(f"{entry:08X}h" for entry in found)
             )
+
+    def _lies(self, at: tuple[int, int]) -> int | None:
+        """An entry of a mapping, also one that does not count; None where it cannot be read."""
+        try:
+            return self._number(*at)
+        except AccessDenied:
+            return None
 
     def _number(self, index: int, sub: int) -> int:
         return int.from_bytes(self._upload(index, sub)[: size_of((index, sub))], "little")
@@ -484,22 +539,30 @@ class CanopenBus:
             return None
 
     def _ask_for_heartbeat(self) -> None:
-        """See that the node produces a heartbeat (1017h), and hear one; without it its TPDO alone tells."""
-        every = self._heartbeat_time()
-        if every == 0:
-            every = _HEARTBEAT_EVERY
+        """See that the node tells that it lives: by its heartbeat (1017h), or as it is guarded.
+
+        A node does not do both (CiA 301, 7.2.8.2.2.3). One that tells nothing is known by its TPDO alone.
+        """
+        wire, every = self._wire, self._heartbeat_time()
+        is_guarded = self._watched_by == "guarding"
+        wanted = self._heartbeat_wanted(every)
+        if every is not None and every != wanted:
             try:
-                self._download(HEARTBEAT_PRODUCER, every)
+                self._download(HEARTBEAT_PRODUCER, wanted)
             except AccessDenied:
                 return
-            self._old[HEARTBEAT_PRODUCER] = 0
-        if every is None:
-            if self._watched_by == "guarding":  # whose answers are what heartbeats would be
-                self._silence_allowed = _HEARTBEATS_MISSED * _HEARTBEAT_EVERY / 1000
-            return
-        self._silence_allowed = _HEARTBEATS_MISSED * every / 1000
-        wire = self._wire
-        wire.pump_until(lambda: wire.heartbeat_state is not None, self._silence_allowed)
+            self._old[HEARTBEAT_PRODUCER] = every
+        self._silence_allowed = _HEARTBEATS_MISSED * (wanted or _HEARTBEAT_EVERY) / 1000
+        if is_guarded or (every is None and wire.can_guard):
+            wire.guard()  # which tells the state, too
+        patience = min(self._silence_allowed, _FIRST_BEAT) if every is not None else _FIRST_ANSWER
+        wire.pump_until(lambda: wire.heartbeat_state is not None, patience)
+        if every is None and not is_guarded:
+            self._silence_allowed = 0.0
+
+    def _heartbeat_wanted(self, every: int | None) -> int:
+        """Producer heartbeat time, ms: that which is there, and none of a node that is guarded."""
+        return 0 if self._watched_by == "guarding" else every or _HEARTBEAT_EVERY
 
     def _supervise(self) -> None:
         """Raises LinkLost where the node has restarted, or fallen silent."""
@@ -510,9 +573,10 @@ class CanopenBus:
                 f"node {wire.node} has restarted (its boot-up message was heard): was its supply "
                 "interrupted?"
             )
-        if not self._silence_allowed:
+        if not self._silence_allowed or wire.heartbeat_state is None:
             return
-        silent = perf_counter() - wire.heard_at
+        asked = wire.guarded_at if self._watched_by == "guarding" else wire.heard_at
+        silent = perf_counter() - asked if asked is not None else 0.0
         if silent > self._silence_allowed:
             self._silence_allowed = 0.0
             raise LinkLost(
@@ -528,6 +592,7 @@ class CanopenBus:
             wire.drain()
             missed, wire.syncs = wire.syncs, 0  # those that nobody was there for
         lost = silent = 0
+        self._supervise()  # before the command, as far as has been heard
         while True:
             wire.send(self._rpdo.cob_id, payload)
             sent = pace.now()

@@ -95,10 +95,21 @@ class Pdo:
         carried = {slot >> 8 for slot in self._slots(there)}
         return [f"{at.index:04X}h" for at in self.mapped if at.index << 8 | at.sub not in carried]
 
-    def adopt(self, there: Objects, value: Callable[[int, int], int]) -> None:
+    def foreign_in(self, there: Objects) -> list[tuple[int, int]]:
+        """Index and sub-index of what it carries and is not to."""
+        ours = {at.index << 8 | at.sub for at in self.mapped}
+        slots = [slot >> 8 for slot in self._slots(there)]
+        return [(at >> 8, at & 0xFF) for at in slots if at not in ours and at >> 8 not in _DUMMIES]
+
+    def odd_in(self, there: Objects) -> int:
+        """Bits of an entry that has no whole type; 0: all have."""
+        widths = [slot & 0xFF for slot in self._slots(there)]
+        return next((bits for bits in widths if bits not in (8, 16, 32, 64)), 0)
+
+    def adopt(self, there: Objects, value: Callable[[int, int], int] | None) -> None:
         """Carry what the mapping that is there carries, in its order.
 
-        `value` gives the raw value of an object that is not ours: it is sent as it is.
+        `value` gives the raw value of an object that is not ours: it is sent as it is; None: nothing is sent.
         """
         places = {at.index << 8 | at.sub: n for n, at in enumerate(self.mapped)}
         codes, order = "<", list[int]()
@@ -110,7 +121,8 @@ class Pdo:
                 index, sub = multiplexer >> 8, multiplexer & 0xFF
                 codes += _UNSIGNED[width]
                 order.append(len(places) + len(others))
-                others.append(0 if index in _DUMMIES else value(index, sub))
+                told = 0 if value is None or index in _DUMMIES else value(index, sub)
+                others.append(told & (1 << 8 * width) - 1)
             else:
                 codes += code_of(self.mapped[n], width)
                 order.append(n)

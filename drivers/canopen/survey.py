@@ -117,7 +117,7 @@ def _described(bus: Any, number: int, ear: _Ear, timeout: float) -> Node:
     wire = CanWire(bus, number, timeout)
     try:
         identity = identify(wire)
-    except LinkError:
+    except (AccessDenied, LinkError):
         return Node(number, None, device, None)
     modes = None
     try:

@@ -39,9 +39,10 @@ HEARTBEAT = 0x700
 NMT = 0x000
 BOOT_UP = 0x00  # as a heartbeat's state (CiA 301, 7.2.8.3.3)
 _WITH_MULTIPLEXER = (2, 3, 4)  # SDO server: upload and download begin, abort (CiA 301, 7.2.4.3)
-# SDO abort codes for what may go a little later: of the application, local control, the device's state
-_WRONG_LENGTH = 0x06070010, 0x06070012, 0x06070013
+_WRONG_LENGTH = 0x06070010, 0x06070012, 0x06070013  # SDO abort codes (CiA 301, table 22)
+_ABORT = 0x80
 _MISSING = 0x06020000, 0x06090011  # object, sub-index
+# what may go a little later: of the application, local control, the device's state
 _BUSY = 0x08000020, 0x08000021, 0x08000022
 _UNSIZED = 0x42  # an expedited upload that does not tell how many of its bytes count
 _NO_OBJECT = b"\0\0\0"  # some drives abort so
@@ -222,6 +223,7 @@ class CanWire:
     heartbeat_state : last NMT state heard, or None
     nmt_commanded : last NMT command sent to the node, or None
     heard_at : when that was, s of the performance counter
+    guarded_at : when it was first asked for its state and has not answered since; None: it has
     restarted : the node said that it has booted, since this was last set to False
     bus_trouble : what the adapter last said of the bus, for people; '' when it is well
     foreign_master : COB-ID of a frame that only another master would send, or None
@@ -229,6 +231,7 @@ class CanWire:
     awaits_sync : another device of the bus produces SYNC, and so paces the cycle
     is_sized : the last answer of the node told how many of its bytes count
     garbled : frames that could not be read
+    refused_posts : objects of posted downloads that the node refused for now
     error_frames : that the adapter reported
     descriptor : of a serial adapter, or None
     """
@@ -249,6 +252,7 @@ class CanWire:
         self.heartbeat_state: int | None = None
         self.nmt_commanded: int | None = None
         self.heard_at = 0.0
+        self.guarded_at: float | None = None
         self.restarted = False
         self.bus_trouble = ""
         self.foreign_master: int | None = None
@@ -262,6 +266,7 @@ class CanWire:
         self._tpdo: bytes | None = None
         self._closed = False
         self._posted = 0
+        self.refused_posts: list[tuple[int, int]] = []
         # waiting on a descriptor beats the library's polling
         self._serial: _Slcan | None = None
         if sys.platform != "win32" and isinstance(bus, _Slcan):
@@ -313,6 +318,7 @@ class CanWire:
     def guard(self) -> None:
         """Ask the node for its state by a remote frame, as a master that guards it; raises LinkLost."""
         cob_id = HEARTBEAT + self.node
+        self.guarded_at = self.guarded_at or time.perf_counter()
         self._transmit(
             can.Message(arbitration_id=cob_id, is_remote_frame=True, dlc=1, is_extended_id=False)
         )
@@ -364,7 +370,7 @@ class CanWire:
             self.emergency = (code, register) if code else None
         elif cob_id == HEARTBEAT + self.node and len(data) == 1:
             self.heartbeat_state = data[0] & 0x7F
-            self.heard_at = time.perf_counter()
+            self.heard_at, self.guarded_at = time.perf_counter(), None
             self.restarted = self.restarted or self.heartbeat_state == BOOT_UP
         elif cob_id == SYNC and self.awaits_sync:
             self.syncs += 1
@@ -474,6 +480,10 @@ class CanWire:
             responses = self._sdo.responses
             self.pump_until(lambda: responses.qsize() >= self._posted, _POST_ANSWER)
             self._posted = 0
+            while not responses.empty():
+                command, index, sub, code = struct.unpack_from("<BHBI", responses.get())
+                if command == _ABORT and code in _BUSY:
+                    self.refused_posts.append((index, sub))
 
     @contextlib.contextmanager
     def _translated(self, index: int, sub: int, denied: type[AccessDenied] = AccessDenied) -> Any:

@@ -273,6 +273,10 @@ class ModbusBus:
         """Modbus shows no other client."""
         return ""
 
+    def refused_posts(self) -> list[tuple[Address, int]]:
+        """None: a refusal comes at once here."""
+        return []
+
     def trouble(self) -> str:
         """Modbus drives report nothing by themselves."""
         return ""

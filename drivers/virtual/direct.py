@@ -12,7 +12,7 @@ from contextlib import AbstractContextManager, nullcontext
 from drivers.drive import Exchange
 from drivers.serial_port import Stream
 from drivers.virtual.device import Device
-from drivers.virtual.firmware import SECOND, Denied
+from drivers.virtual.firmware import SECOND, Denied, Reason
 from drivers.virtual.habits import NONE, Habits
 from drivers.virtual.modbus_identity import PRODUCT, REVISION, VENDOR
 from drivers.virtual.registers import RegisterMap
@@ -75,7 +75,8 @@ class DirectBus:
         try:
             self._map.write(address.register_, words)
         except Denied as error:
-            raise WriteDenied(f"{address}: the virtual drive refuses {raw} ({error})") from None
+            text = f"{address}: the virtual drive refuses {raw} ({error})"
+            raise WriteDenied(text, busy=error.reason is Reason.STATE) from None
 
     def post(self, address: Address, raw: int) -> None:
         """Write; nothing can be lost here."""
@@ -170,6 +171,10 @@ class DirectBus:
     def other_master(self) -> str:
         """There is only this process."""
         return ""
+
+    def refused_posts(self) -> list[tuple[Address, int]]:
+        """None: a refusal comes at once here."""
+        return []
 
     def trouble(self) -> str:
         """Nothing is reported beside the error code."""

@@ -217,7 +217,7 @@ def test_the_drive_s_speed_limit_is_widened_at_most_to_what_it_was(
     drive: ProfiledDrive, settings: Settings
 ) -> None:
     before = drive.read_raw("max_speed")
-    preflight.set_limits(drive, settings, LIMITS)
+    preflight.set_limits(drive, settings, LIMITS, lambda text: None)
     assert drive.read_raw("max_speed") < before
     preflight.widen_speed(drive, settings, 20.0)
     assert drive.read("max_speed") == pytest.approx(24.0, rel=0.01)
@@ -244,7 +244,7 @@ def test_everything_that_a_job_leaves_as_found_is_journalled_before_it_moves(
     drive: ProfiledDrive, settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(drive, "bus_changes", lambda: {"1400h:01": (5, 6)})
-    preflight.set_limits(drive, settings, LIMITS)
+    preflight.set_limits(drive, settings, LIMITS, lambda text: None)
     named = {i.parameter for i in settings._journal.intents(settings.run, open_only=True)}
     assert {
         "max_torque", "max_speed", "torque_target", "position_target", "1400h:01", "mode_of_operation",
@@ -274,7 +274,7 @@ def test_a_drive_that_is_enabled_by_being_prepared_is_stopped_and_refused(
 
     monkeypatch.setattr(drive, "stop", stopped)
     with pytest.raises(PreflightRefused, match="became enabled while it was prepared"):
-        preflight.set_limits(drive, settings, LIMITS)
+        preflight.set_limits(drive, settings, LIMITS, lambda text: None)
     assert stops == [True]
 
 
@@ -311,7 +311,10 @@ def test_silence_stops_a_drive_with_a_watchdog_and_leaves_it_without_fault(
     armed: ProfiledDrive,
 ) -> None:
     found = proved(armed)
-    assert told == ["proof of the watchdog: silence for 150 ms"]
+    assert told == [
+        "proof of the watchdog: silence for 150 ms",
+        "the drive noticed it, by itself: switch on disabled, error code 8100h (communication)",
+    ]
     assert not armed.is_energised()
     assert not armed.in_fault()
     assert proved(armed, before=found) == found

@@ -177,6 +177,7 @@ def test_on_canopen_no_frame_of_a_stop_enables_the_drive() -> None:
 
         def __init__(self) -> None:
             self.frames: list[tuple[int, bytes]] = []
+            self.refused_posts: list[tuple[int, int]] = []
 
         def send(self, cob_id: int, data: bytes) -> None:
             self.frames.append((cob_id, data))

@@ -88,7 +88,10 @@ def test_an_idle_frame_is_zeros_and_enables_what_is_enabled() -> None:
 
 
 def test_the_controlword_in_the_cycle_follows_the_walk() -> None:
-    """While a transition takes its time, the cycle repeats the controlword that asked for it."""
+    """While a transition takes its time, the cycle repeats the controlword that asked for it.
+
+    Once more before the drive is enabled: who has restarted says so there.
+    """
 
     def slow(machine: Machine, name: str, raw: int) -> None:
         machine.in_cycle = lambda m: obedient(m, name, raw) if len(m.frames) % 3 == 0 else None
@@ -97,7 +100,7 @@ def test_the_controlword_in_the_cycle_follows_the_walk() -> None:
     machine.values["statusword"] = DISABLED
     power = cia402(machine)
     power.enable(power.idle())
-    assert [frame[0] for frame in machine.frames] == [6] * 3 + [7] * 3 + [15] * 3
+    assert [frame[0] for frame in machine.frames] == [6] * 3 + [7] * 4 + [15] * 2
 
 
 def test_a_transition_that_never_comes_is_refused_after_its_time() -> None:

@@ -43,6 +43,7 @@ class Motor:
         self.waits = 0
         self.looks = 0
         self.broken: set[str] = set()
+        self.refuses: list[tuple[Address, int]] = []
         self._names = {str(p.address): name for name, p in profile.parameters.items()}
         self._motion, self._position = list(motion), 0.0
         self._rests_after, self._obeys = rests_after, obeys
@@ -53,6 +54,11 @@ class Motor:
         self.slow = 0.0  # s that a read takes
 
     # -- the bus ---------------------------------------------------------------------------------
+
+    def refused_posts(self) -> list[tuple[Address, int]]:
+        """Those that were refused once their answer came."""
+        refused, self.refuses = self.refuses, []
+        return refused
 
     def post(self, address: Address, raw: int) -> None:
         self._has_time("post")
@@ -432,3 +438,13 @@ def test_time_is_counted_and_not_looks() -> None:
     waiting.slow = 0.02
     waiting.stop()
     assert waiting.now() - 7.0 == pytest.approx(0.1, abs=0.1)
+
+
+def test_what_is_refused_by_an_answer_that_comes_later_is_said_again() -> None:
+    """On CANopen a post is an SDO download whose answer nobody waits for: 0800 0022h is seen afterwards."""
+    motor = Motor(CANOPEN, motion=[20.0] * 20, rests_after=12)
+    control = CANOPEN.parameters["controlword"].address
+    motor.refuses = [(control, 0x0002)]
+    report, _ = motor.stop()
+    assert report == StopReport(True)
+    assert [raw for name, raw in motor.posts if name == "controlword"][:2] == [0x0002, 0x0002]

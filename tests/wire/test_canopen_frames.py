@@ -6,7 +6,7 @@ import os
 import sys
 import threading
 from binascii import crc_hqx
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 
 import can
@@ -20,6 +20,7 @@ from profiles.errors import (
     AccessDenied,
     LinkError,
     LinkLost,
+    PreflightRefused,
     TwoRelayError,
     UsageError,
     WriteDenied,
@@ -29,6 +30,7 @@ from profiles.library import load_profile
 Frame = tuple[int, str]
 Answer = Callable[[int, bytes], list[Frame]]
 NODE = 5
+SHORT = {0x6040, 0x6041, 0x6071, 0x6077}  # of two bytes
 
 
 class Peer:
@@ -265,6 +267,7 @@ def running(
     state: str | None = None,
     *,
     awaits_sync: bool = False,
+    read_only: Collection[tuple[int, int]] = (),
 ) -> tuple[CanopenBus, Peer, list[Frame]]:
     """A bus of the generic profile in its cycle; the list is what the node says to each SYNC.
 
@@ -285,7 +288,9 @@ def running(
         head = f"{data[1]:02X} {data[2]:02X} {sub:02X}"
         if data[0] == 0x40:
             value = objects.get((index, sub), 0).to_bytes(4, "little").hex(" ")
-            return [(0x585, f"43 {head} {value}")]
+            return [(0x585, f"{'4B' if index in SHORT else '43'} {head} {value}")]
+        if (index, sub) in read_only:
+            return [(0x585, f"80 {head} 02 00 01 06")]
         objects[index, sub] = int.from_bytes(data[4:], "little")
         return [(0x585, f"60 {head} 00 00 00 00")]
 
@@ -293,6 +298,8 @@ def running(
     bus = CanopenBus(node, load_profile("cia402"), WallPace(0.001))
     if state is not None:
         peer.say(0x705, state)
+        node.drain()
+        node.restarted = False  # it was before the job
     peer.changes = bus.changes()
     bus.start((0x0F, 0, 0))
     return bus, peer, tpdo
@@ -453,6 +460,59 @@ def test_one_byte_where_four_are_is_a_number_of_entries() -> None:
         bus.read(profile.parameters["rated_torque"].address)
 
 
+def test_a_node_that_boots_before_it_is_enabled_is_a_lost_link() -> None:
+    """What was set in it is gone: mode, limits, mapping."""
+    bus, peer, _ = running()
+    bus._running = False
+    peer.say(0x705, "00")
+    with pytest.raises(LinkLost, match="node 5 has restarted"):
+        bus.start((0x0F, 0, 0))
+
+
+def test_a_stop_that_the_node_has_no_time_for_is_known_from_its_answer() -> None:
+    bus, peer, _ = running()
+    profile = load_profile("cia402")
+    control = profile.parameters["controlword"].address
+    bus.post(control, 0x0002)
+    peer.waiting[:] = [m for m in peer.waiting if m.arbitration_id != 0x585]
+    peer.say(0x585, "80 40 60 00 22 00 00 08")
+    assert bus.refused_posts() == []
+    bus.read(profile.parameters["statusword"].address)
+    assert bus.refused_posts() == [(control, 0x0002)]
+    assert bus.refused_posts() == []
+
+
+def test_a_mapping_whose_count_alone_can_be_written_is_left_whole() -> None:
+    """Some drives take 1600h:00 = 0 and refuse the entries: what lies there serves, or is counted again."""
+    there = {
+        (0x1600, 0): 3,
+        (0x1600, 1): 0x607A0020,
+        (0x1600, 2): 0x60400010,
+        (0x1600, 3): 0x60710010,
+    }
+    bus, peer, _ = running(there, read_only={(0x1600, 1), (0x1600, 2), (0x1600, 3)})
+    del peer.sent[:]
+    bus.exchange((0x0F, -250, 70000))
+    assert (0x205, "70 11 01 00 0F 00 06 FF") in peer.sent
+    bus.put_back({name: old for name, (old, _) in peer.changes.items()})
+    assert bus._number(0x1600, 0) == 3
+    assert bus._number(0x1400, 1) == 0x205
+
+
+def test_a_mapping_that_carries_what_the_job_sets_is_refused() -> None:
+    """6080h in the RxPDO would be overwritten by each cycle."""
+    there = {
+        (0x1600, 0): 3,
+        (0x1600, 1): 0x60400010,
+        (0x1600, 2): 0x60710010,
+        (0x1600, 3): 0x60800020,
+    }
+    with pytest.raises(
+        PreflightRefused, match=r"lacks 607Ah and it carries 6080h:00, which the job sets"
+    ):
+        running(there, read_only={(0x1600, sub) for sub in range(4)})
+
+
 # -- the adapter ---------------------------------------------------------------------------------------
 
 
@@ -538,7 +598,7 @@ def test_a_pdo_goes_back_off_first_and_on_last() -> None:
     writes = [text for cob_id, text in peer.sent if cob_id == 0x605 and not text.startswith("40")]
     assert writes == [
         "23 00 14 01 05 02 00 80", "2F 00 14 02 FE 00 00 00", "2F 00 16 00 00 00 00 00",
-        "23 00 16 01 10 00 40 60", "2F 00 16 00 01 00 00 00", "23 00 14 01 05 02 00 00",
+        "2F 00 16 00 01 00 00 00", "23 00 14 01 05 02 00 00",  # its entry lies there as it was
     ]  # fmt: skip
     assert not bus.put_back(old), "all is as before"
 
@@ -554,8 +614,8 @@ def test_entries_that_do_not_count_go_back_too() -> None:
     writes = [text for cob_id, text in peer.sent if cob_id == 0x605 and text.startswith("2")]
     mapping = [text for text in writes if text[3:8] == "00 16"]
     assert mapping == [
-        "2F 00 16 00 00 00 00 00", "23 00 16 01 10 00 40 60", "23 00 16 02 08 00 60 60",
-        "23 00 16 03 00 00 00 00", "2F 00 16 00 01 00 00 00",
+        "2F 00 16 00 00 00 00 00", "23 00 16 02 08 00 60 60", "23 00 16 03 00 00 00 00",
+        "2F 00 16 00 01 00 00 00",
     ]  # fmt: skip
     assert not bus.put_back(old), "all is as before"
 

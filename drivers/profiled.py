@@ -393,10 +393,6 @@ class ProfiledDrive:
         self._patiently(lambda: self._bus.write(target.address, self._rest_raw))
         self._verify(code.set_point, target, self._rest_raw)
         self._bus.start(self._frame(self._rest_raw))
-        if code.code is not None and self.read_raw("mode_display") != code.code:
-            raise PreflightRefused(
-                f"the drive has left mode {code.code} by itself, before it was enabled: was it restarted?"
-            )
         self._energised = True
         self._power.enable(list(self._frame(self._rest_raw)))
 

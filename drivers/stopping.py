@@ -53,12 +53,14 @@ class _Said:
     ----------
     failures : in words
     refused : writes for which the drive had no time
+    is_put_off : so it was when it was said again last
     """
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self.failures: list[str] = []
         self.refused: list[tuple[Address, int]] = []
+        self.is_put_off = False
 
     def fail(self, error: Exception) -> None:
         """Note what failed."""
@@ -89,6 +91,7 @@ class _Said:
     def again(self) -> None:
         """What was refused for now, in its order."""
         self.refused += self._bus.refused_posts()
+        self.is_put_off = bool(self.refused)
         waiting = self.refused.copy()
         self.refused.clear()
         self.post(waiting)
@@ -202,7 +205,7 @@ class StopPath:
                 break
             said.again()
             said.attempt(lambda: self._bus.wait(_POLL))
-        if not state and said.refused:
+        if not state and said.is_put_off:
             said.failures.append("the drive says that it is busy, and takes no command")
         return StopReport(state, tuple(dict.fromkeys(said.failures)))
 

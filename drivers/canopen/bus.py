@@ -472,12 +472,16 @@ class CanopenBus:
         def entries(of: Objects) -> Objects:
             return {at: raw for at, raw in of.items() if at[0] == mapping and at[1]}
 
-        self._download((communication, 1), number | OFF)
-        self._download((communication, 2), objects[communication, 2])
         count, wanted = objects[mapping, 0], entries(objects)
         is_so = self._number(mapping, 0) == count and all(
             self._lies(at) == raw for at, raw in wanted.items()
         )
+        if is_so and not unused and self._number(communication, 1) == number:
+            with contextlib.suppress(AccessDenied):  # some take it only while the PDO is off
+                self._download((communication, 2), objects[communication, 2])
+                return
+        self._download((communication, 1), number | OFF)
+        self._download((communication, 2), objects[communication, 2])
         if unused or not is_so:
             self._download((mapping, 0), 0)
             for at, raw in wanted.items():

@@ -213,17 +213,20 @@ def _open_modbus(
     *,
     to_stop: bool,
 ) -> tuple[Bus, Profile]:
-    from drivers.modbus.bus import ModbusBus, identify
+    from drivers.modbus.bus import ModbusBus, answers, identify
     from drivers.modbus.client import Client
 
     wire, timeout = modbus_wire(link, profile), _timeout(link, profile)
     defaults = profile.link if profile else LinkDefaults()
     client = Client(wire, _unit(link, profile), timeout, trace, defaults.longest_answer)
     try:
-        identity = NOBODY
-        if profile is None or profile.identity.asked:
-            boot = 0.0 if to_stop else (profile.patience if profile else Patience()).boot
-            identity = when_up(lambda: identify(client, defaults.patience), boot, timeout)
+        asks = profile is None or profile.identity.asked
+        who: Callable[[], Identity] = partial(identify, client, defaults.patience)
+        boot = 0.0 if to_stop else (profile.patience if profile else Patience()).boot
+        if asks or not to_stop:
+            identity = when_up(who if asks else partial(answers, client), boot, timeout)
+        else:
+            identity = NOBODY
         chosen = _armed_with(_agree(identity, "modbus", profile), axis)
         return ModbusBus(client, chosen, _pace(link, cycle or chosen.link.cycle)), chosen
     except BaseException:

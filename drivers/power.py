@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import Protocol, TypeVar
 
@@ -9,7 +10,7 @@ from drivers import cia402
 from drivers.drive import Bus
 from drivers.patience import patiently
 from drivers.sample import Status
-from profiles.errors import DriveFault, PreflightRefused, WriteDenied, WriteFailed
+from profiles.errors import DriveFault, NoAnswer, PreflightRefused, WriteDenied, WriteFailed
 from profiles.schema import Condition, Power, Profile, Step
 
 __all__ = ["Cia402Power", "PowerStage", "ProcedurePower", "perform", "power_of"]
@@ -151,7 +152,9 @@ class Cia402Power:
         return patiently(action, self._busy, wait)
 
     def _tell(self, word: int, wait: Callable[[], float]) -> None:
-        self._patiently(lambda: self._bus.write(self._control, word), wait)
+        """A controlword; whether it was heard, where no answer says so, the next look at the state tells."""
+        with contextlib.suppress(NoAnswer):
+            self._patiently(lambda: self._bus.write(self._control, word), wait)
 
     def _pause(self) -> float:
         self._bus.wait(_BUSY)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from math import inf, nan
 from typing import TYPE_CHECKING, Never, TypeVar
@@ -18,6 +19,7 @@ from drivers.stopping import Rest, StopPath
 from profiles.axis import Axis
 from profiles.errors import (
     AccessDenied,
+    NoAnswer,
     PreflightRefused,
     UnknownName,
     WriteDenied,
@@ -180,6 +182,11 @@ class ProfiledDrive:
                 self._patiently(lambda: self._bus.write(parameter.address, raw))
         except WriteDenied as error:
             raise WriteDenied(f"'{name}': {error}", busy=error.busy) from None
+        except NoAnswer:
+            # its answer may be lost, and not the write: what stands there tells, and nothing is sent twice
+            if parameter.access is Access.WRITE_ONLY or self.read_raw(name) != raw:
+                raise
+            return
         self._verify(name, parameter, raw)
 
     def _verify(self, name: str, parameter: Parameter, raw: int) -> None:
@@ -390,7 +397,8 @@ class ProfiledDrive:
         )
         if not self._lowest <= self._rest_raw <= self._highest:
             self._refuse_set_point(code.set_point, self._rest_raw)
-        self._patiently(lambda: self._bus.write(target.address, self._rest_raw))
+        with contextlib.suppress(NoAnswer):  # it is looked at
+            self._patiently(lambda: self._bus.write(target.address, self._rest_raw))
         self._verify(code.set_point, target, self._rest_raw)
         self._bus.start(self._frame(self._rest_raw))
         self._energised = True
@@ -404,8 +412,13 @@ class ProfiledDrive:
 
     def _rest(self) -> None:
         """Zero as the torque command of a drive without energy: no stale one waits for the next master."""
-        if self._mode is Mode.TORQUE:
+        if self._mode is not Mode.TORQUE:
+            return
+        try:
             self._bus.write(self._set_point.address, 0)
+        except NoAnswer:
+            if self._bus.read(self._set_point.address) != 0:
+                raise
 
     def refuse_rehearsal(self) -> None:
         """Raises PreflightRefused where the cycle must not be exchanged without an experiment."""
@@ -468,7 +481,8 @@ class ProfiledDrive:
         if self._patiently(lambda: self._bus.read(address)) == code:
             return
         try:
-            self._bus.write(address, code)
+            with contextlib.suppress(NoAnswer):  # the mode display tells
+                self._bus.write(address, code)
         except WriteDenied as error:
             control = self.profile.parameters.get("controlword")
             if not error.busy:

@@ -24,9 +24,17 @@ from profiles.errors import (
     UsageError,
     WriteDenied,
 )
-from profiles.schema import Address, Identity, LinkDefaults, MailboxAddress, ModbusAddress, Profile
+from profiles.schema import (
+    NOBODY,
+    Address,
+    Identity,
+    LinkDefaults,
+    MailboxAddress,
+    ModbusAddress,
+    Profile,
+)
 
-__all__ = ["ModbusBus", "identify"]
+__all__ = ["ModbusBus", "answers", "identify"]
 
 _MOST_READ = 125  # registers in one answer (Modbus application protocol 6.3)
 _ASKED_AGAIN = 0.05  # s
@@ -46,15 +54,29 @@ def identify(client: Client, patience: float = LinkDefaults().patience) -> Ident
             raise
         found = {}
     except NoAnswer:
-        with contextlib.suppress(AccessDenied):  # which is an answer
-            client.read(3, 0, 1)
-        found = {}
+        answers(client)
+        found = _asked_once_more(client)
     return Identity(
         vendor=found.get(0, ""),
         product=found.get(1, ""),
         revision=found.get(2, ""),
         serial="",
     )
+
+
+def answers(client: Client) -> Identity:
+    """Nobody in particular, once the drive answers anything at all; raises NoAnswer."""
+    with contextlib.suppress(AccessDenied):  # which is an answer
+        client.read(3, 0, 1)
+    return NOBODY
+
+
+def _asked_once_more(client: Client) -> dict[int, str]:
+    """What a drive says of itself that answers, and has not answered this: it may have booted meanwhile."""
+    try:
+        return client.identification()
+    except (AccessDenied, NoAnswer):
+        return {}
 
 
 def _nap() -> float:
@@ -122,12 +144,19 @@ class ModbusBus:
             return self._mailbox.read(address)
         at = _modbus(address)
         try:
-            words = self._client.read(at.read_function, at.register_, at.count)
+            words = self._asked_twice(at)
         except AccessDenied as error:
             raise AccessDenied(f"{at}: {error}", busy=error.busy) from None
         if at.bits is not None:
             self._words[at.register_] = words[0]
         return decode(at, words)
+
+    def _asked_twice(self, at: ModbusAddress) -> list[int]:
+        """Words of a register; an answer may be lost on its way, and a read asked again does no harm."""
+        try:
+            return self._client.read(at.read_function, at.register_, at.count)
+        except NoAnswer:
+            return self._client.read(at.read_function, at.register_, at.count)
 
     def write(self, address: Address, raw: int) -> None:
         """Write a raw value; raises LinkError, WriteDenied."""
@@ -239,7 +268,7 @@ class ModbusBus:
         values: tuple[int, ...] = ()
         begun, latched = now(), 0.0
         if not self._one_transaction:
-            client.write(self._write_function, out.start, words, self._deadline)
+            client.write(self._write_function, out.start, words, self._deadline, in_cycle=True)
             begun = now()
         for at, block in enumerate(self._in):
             if at == 0 and self._one_transaction:
@@ -247,7 +276,7 @@ class ModbusBus:
                     block.start, block.count, out.start, words, self._deadline
                 )
             else:
-                answer = client.read(3, block.start, block.count, self._deadline)
+                answer = client.read(3, block.start, block.count, self._deadline, in_cycle=True)
             ended = now()
             if at == self._at_position:
                 latched = 0.5 * (begun + ended)

@@ -157,18 +157,19 @@ class Client:
         timeout: float | None,
         *,
         at_once: bool = False,
+        in_cycle: bool = False,
         **arguments: Any,
     ) -> ModbusPDU:
         """One request, one answer; both of pymodbus' error channels become our errors.
 
-        `at_once`: whatever may still come, for a stop.
+        `at_once`: whatever may still come, for a stop. `in_cycle`: one that has to wait is missed.
         """
         client = self._client
         if client.socket is None:
             raise LinkLost(f"the connection to {self.where} is closed")
         patience = self._timeout if timeout is None else timeout
         if self._is_line:
-            self._settle(kind, 0.0 if at_once else patience, in_cycle=timeout is not None)
+            self._settle(kind, 0.0 if at_once else patience, in_cycle=in_cycle)
         client.transaction.count_until_disconnect = _NEVER_DISCONNECT
         client.comm_params.timeout_connect = patience
         client.transaction.comm_params.timeout_connect = patience
@@ -292,7 +293,13 @@ class Client:
         return is_whole
 
     def read(
-        self, function: int, address: int, count: int, timeout: float | None = None
+        self,
+        function: int,
+        address: int,
+        count: int,
+        timeout: float | None = None,
+        *,
+        in_cycle: bool = False,
     ) -> list[int]:
         """Registers by FC 3 or 4."""
         request = (
@@ -301,7 +308,7 @@ class Client:
             else self._client.read_input_registers
         )
         kind = Kind(function, count)
-        answer = self._ask(request, kind, timeout, address=address, count=count)
+        answer = self._ask(request, kind, timeout, in_cycle=in_cycle, address=address, count=count)
         self._readable = function, address
         return self._registers(answer, count, kind)
 
@@ -313,10 +320,11 @@ class Client:
         timeout: float | None = None,
         *,
         at_once: bool = False,
+        in_cycle: bool = False,
     ) -> None:
         """Registers by FC 6 or 16; by FC 22 `words` are the AND and the OR mask of one register.
 
-        `at_once`: whatever may still come, for a stop.
+        `at_once`: whatever may still come, for a stop. `in_cycle`: one that has to wait is missed.
         """
         client, request = self._client, dict[str, Any](address=address)
         send: Callable[..., ModbusPDU]
@@ -329,7 +337,8 @@ class Client:
         else:
             function, send = 16, client.write_registers
             request |= {"values": words}
-        self._ask(send, Kind(function, 0), timeout, at_once=at_once, **request)
+        kind = Kind(function, 0)
+        self._ask(send, kind, timeout, at_once=at_once, in_cycle=in_cycle, **request)
 
     def read_write(
         self,
@@ -345,6 +354,7 @@ class Client:
             self._client.readwrite_registers,
             kind,
             timeout,
+            in_cycle=True,
             read_address=read_address,
             read_count=count,
             write_address=write_address,

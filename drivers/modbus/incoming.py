@@ -10,6 +10,11 @@ _HEADER = 7  # bytes of MBAP
 _LONGEST = 254  # unit and PDU
 _SAME_AS_ANSWER = 5, 6, 22  # functions whose request is its own answer
 _SHORTEST = 5  # bytes of a frame with an exception
+_COUNTED, _IDENTIFICATION = (
+    (1, 2, 3, 4, 23),
+    43,
+)  # functions; these say at their third byte how many follow
+_FIXED = {5: 8, 6: 8, 15: 8, 16: 8, 22: 10}
 
 
 class Incoming:
@@ -86,10 +91,10 @@ class MbapIncoming(Incoming):
 
 
 class LineIncoming(Incoming):
-    """Modbus RTU, on a serial line or over TCP.
+    """Modbus RTU, on a serial line or over TCP: whole frames of the unit and function that were asked for.
 
     A two-wire adapter that hears itself gives back each request before the answer. Whether it does is seen
-    at the first request that is not its own answer.
+    at the first request that is not its own answer. Noise and other units' frames are passed over.
     """
 
     def __init__(self) -> None:
@@ -97,31 +102,35 @@ class LineIncoming(Incoming):
         self._echoes: bool | None = None  # not known yet
         self._echo = b""  # that is expected
         self._held = b""
-        self._unit = 0
+        self._unit, self._function = 0, 0
 
     def ask(self, frame: bytes) -> None:
         """A request is sent."""
         super().ask(frame)
-        self._unit = frame[0]
-        tells = self._echoes is None and frame[1] not in _SAME_AS_ANSWER
+        self._unit, self._function = frame[0], frame[1]
+        tells = self._echoes is None and self._function not in _SAME_AS_ANSWER
         self._echo = frame if self._echoes or tells else b""
         self._held = b""
 
     def take(self, data: bytes) -> bytes:
-        """What comes after the echo."""
+        """The answer, once it is whole."""
         self.heard += data
-        if not self._echo:
-            return data
         self._held += data
-        if len(self._held) < len(self._echo) and self._echo.startswith(self._held):
-            return b""
-        held, self._held = self._held, b""
-        echo, self._echo = self._echo, b""
-        self._echoes = held.startswith(echo)
-        if not self._echoes:
-            return held
-        self.oddity = "the adapter hears itself (its echo is left out)"
-        return held[len(echo) :]
+        if self._echo:
+            if len(self._held) < len(self._echo) and self._echo.startswith(self._held):
+                return b""
+            echo, self._echo = self._echo, b""
+            self._echoes = self._held.startswith(echo)
+            if self._echoes:
+                self.oddity = "the adapter hears itself (its echo is left out)"
+                self._held = self._held[len(echo) :]
+        at = self._held.find(self._unit)
+        while at >= 0:
+            length = frame_at(self._held[at:])
+            if length and self._held[at + 1] & 0x7F == self._function:
+                return self._held[at : at + length]
+            at = self._held.find(self._unit, at + 1)
+        return b""
 
     def stranger(self) -> int | None:
         """A unit whose frame came after the last request, and was not asked."""
@@ -129,7 +138,7 @@ class LineIncoming(Incoming):
 
 
 def units_in(data: bytes) -> list[int]:
-    """Units of the whole frames in what came, in their order; what is no frame is passed over."""
+    """Units of the whole answers in what came, in their order; what is none is passed over."""
     found, at = [], 0
     while at + _SHORTEST <= len(data):
         length = frame_at(data[at:])
@@ -140,20 +149,42 @@ def units_in(data: bytes) -> list[int]:
 
 
 def frame_at(data: bytes) -> int:
-    """Bytes of the frame with which `data` begins; 0: with none.
+    """Bytes of the answer with which `data` begins; 0: with none that is whole and sound.
 
-    By its check sum, which is 0 over a frame with its own (Serial Line V1.02, 6.2.2).
+    Its check sum is 0 over a frame with its own (Serial Line V1.02, 6.2.2).
     """
+    length = _length(data)
+    if not _SHORTEST <= length <= len(data):
+        return 0
     value = 0xFFFF
-    for n, byte in enumerate(data, 1):
-        value = _step(value, byte)
-        if value == 0 and n >= _SHORTEST:
-            return n
-    return 0
+    for byte in data[:length]:
+        value = value >> 8 ^ _TABLE[(value ^ byte) & 0xFF]
+    return 0 if value else length
 
 
-def _step(value: int, byte: int) -> int:
-    value ^= byte
+def _length(data: bytes) -> int:
+    """Bytes of an answer that begins so (Application Protocol V1.1b3, 6); 0: not known, or not yet."""
+    if len(data) < _SHORTEST:
+        return 0
+    function = data[1]
+    if function & 0x80:
+        return _SHORTEST
+    if function in _COUNTED:
+        return _SHORTEST + data[2]
+    if function != _IDENTIFICATION:
+        return _FIXED.get(function, 0)
+    at = 8  # unit, function, MEI type, code, conformity, more, next, number of objects
+    for _ in range(data[7] if len(data) > 7 else 0):
+        if at + 1 >= len(data):
+            return 0
+        at += 2 + data[at + 1]
+    return at + 2
+
+
+def _entry(byte: int) -> int:
     for _ in range(8):
-        value = value >> 1 ^ 0xA001 if value & 1 else value >> 1
-    return value
+        byte = byte >> 1 ^ 0xA001 if byte & 1 else byte >> 1
+    return byte
+
+
+_TABLE = [_entry(byte) for byte in range(256)]

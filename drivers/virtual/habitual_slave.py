@@ -20,18 +20,24 @@ _CYCLE = 23
 _PIECE, _PAUSE = 3, 0.001  # bytes, s
 _NOISE = bytes.fromhex("FF 00 7E")
 _STORE = 0x0500
+_NOT_OF_THE_DRIVE = 0x0500  # from here on the store, and the clock of a virtual one
 
 
 def bent(layout: Layout, habits: Habits) -> Layout:
     """The registers of a drive with these habits."""
-    registers = dict(layout.registers)
+    ours = {at for at in layout.registers if at < _NOT_OF_THE_DRIVE}
     if "low-first" in habits:
-        layout = replace(layout, low_first=frozenset(registers) - layout.low_first)
+        layout = replace(layout, low_first=frozenset(ours) - layout.low_first)
     if "off-by-one" in habits:
-        registers = {at + 1: entry for at, entry in registers.items()}
-        low_first = frozenset(at + 1 for at in layout.low_first)
+
+        def shifted(at: int) -> int:
+            return at + (at in ours)
+
         layout = replace(
-            layout, registers=registers, low_first=low_first, position=layout.position + 1
+            layout,
+            registers={shifted(at): entry for at, entry in layout.registers.items()},
+            low_first=frozenset(shifted(at) for at in layout.low_first),
+            position=shifted(layout.position),
         )
     return layout
 
@@ -78,7 +84,10 @@ class _Answers:
             if name in habits and self._asked % habits.number(name) == 0:
                 return self._refusal(pdu, code)
         response = self._answer(pdu)
-        if pdu[0] in _WRITES and int.from_bytes(pdu[1:3], "big") == _STORE:
+        every, register = habits.number("lost-answer"), int.from_bytes(pdu[1:3], "big")
+        if every and self._asked % every == 0 and register < _NOT_OF_THE_DRIVE:
+            return b""
+        if pdu[0] in _WRITES and register == _STORE:
             self.delay = habits.seconds("slow-save") + habits.seconds("silent-save")
             self._saved_until = now + max(
                 habits.seconds("busy-save"), habits.seconds("silent-save")
@@ -113,7 +122,7 @@ class _HabitualFraming(Framing):
         answers = [self._bent(answer) for answer in self._plain.feed(data)]
         self.is_closed = self._plain.is_closed
         echo = [data] if "echo" in self._habits else []
-        return [*echo, *(answer for answer in answers if answer)]
+        return [*echo, *answers]
 
     def silence(self) -> list[bytes]:
         """Nothing more has come for a while."""
@@ -122,9 +131,6 @@ class _HabitualFraming(Framing):
     def _bent(self, answer: bytes) -> bytes:
         habits = self._habits
         self._sent += 1
-        every = habits.number("lost-answer")
-        if every and self._sent % every == 0:
-            return b""
         if "other-unit" in habits:
             unit = bytes((int(habits.values["other-unit"]) % 256,))
             if self._rtu:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import sys
@@ -38,7 +39,7 @@ class Server:
     def _run(self) -> None:
         connection, _ = self._listener.accept()
         self.connected.set()
-        with connection:
+        with connection, contextlib.suppress(ConnectionResetError):
             while request := connection.recv(300):
                 answer = request[:2] + self.answer[2:] if self.right_transaction else self.answer
                 connection.sendall(answer)

@@ -254,7 +254,7 @@ def _of_canopen(link: Link, tell: Callable[[str], None]) -> Iterator[Finding]:
 
 def _of_modbus(link: Link, tell: Callable[[str], None]) -> Iterator[Finding]:
     from drivers.modbus.client import Client
-    from drivers.modbus.survey import is_there, survey
+    from drivers.modbus.survey import EVERYBODY, is_there, survey
     from drivers.modbus.wires import RtuLine
 
     wire = modbus_wire(link, None)
@@ -276,7 +276,11 @@ def _of_modbus(link: Link, tell: Callable[[str], None]) -> Iterator[Finding]:
             return
         yield Finding("problem", f"unit: {number} does not answer within {_ANSWER:g} s")
         tell("asking units 1 to 10")
-        others = [u.number for u in survey(client, range(1, 11), _ANSWER, lambda n: None)]
+        others = [
+            u.number
+            for u in survey(client, range(1, 11), _ANSWER, lambda n: None)
+            if u is not EVERYBODY
+        ]
     finally:
         client.close()
     if others:

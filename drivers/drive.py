@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
@@ -148,7 +148,7 @@ class Drive(Protocol):
     def refuse_rehearsal(self) -> None:
         """Raises PreflightRefused where the cycle must not be exchanged without an experiment."""
 
-    def rehearse(self, count: int) -> list[Exchange]:
+    def rehearse(self, count: int) -> Iterator[Exchange]:
         """`count` cycles of the exchange with every output at zero; the drive stays de-energised."""
 
     def stop_frames(self) -> StopFrames | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from math import inf, nan
 from typing import TYPE_CHECKING, Never, TypeVar
 
@@ -434,7 +434,7 @@ class ProfiledDrive:
                 "'tworelay identify' tells how late its cycles were"
             )
 
-    def rehearse(self, count: int) -> list[Exchange]:
+    def rehearse(self, count: int) -> Iterator[Exchange]:
         """`count` cycles of the exchange with every output at zero; the drive stays de-energised.
 
         Raises PreflightRefused where it is energised, LinkError.
@@ -442,7 +442,8 @@ class ProfiledDrive:
         self.refuse_rehearsal()
         zeros = (0,) * len(self.profile.cycle.out)
         self._bus.start(zeros)
-        return [self._bus.exchange(zeros) for _ in range(count)]
+        for _ in range(count):
+            yield self._bus.exchange(zeros)
 
     def _supported(self, mode: Mode) -> ModeCode:
         codes = self.profile.modes.get(mode, ())

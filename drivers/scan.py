@@ -21,7 +21,6 @@ _TIMEOUT = {
     "modbus-rtu-tcp": 0.65,
     "canopen": 0.2,
 }
-_EVERYBODY = 200  # units that are one and the same
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,15 +93,15 @@ def _modbus(
     link: Link, units: Iterable[int], timeout: float, tell: Callable[[int], None]
 ) -> list[Found]:
     from drivers.modbus.client import Client
-    from drivers.modbus.survey import survey
+    from drivers.modbus.survey import EVERYBODY, survey
 
     client = Client(modbus_wire(link, None), 0, max(timeout, 1.0))
     try:
         there = list(survey(client, units, timeout, tell))
     finally:
         client.close()
-    same = len(there) >= _EVERYBODY and len({unit.identity for unit in there}) == 1
-    if same:  # a server that does not look at the number
+    same = EVERYBODY in there
+    if same:
         there = there[:1]
     note = "answers to every unit number: it is one drive" if same else ""
     return [

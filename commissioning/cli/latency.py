@@ -70,7 +70,7 @@ def command(
         }
         tree |= {
             "cycle": found.cycle, "late_share": found.late_share, "missed": found.missed,
-            "shortest_period": found.shortest_period, "dead_time": late,
+            "shortest_period": found.shortest_period, "watchdog": found.watchdog, "dead_time": late,
         }  # fmt: skip
         document(json_text(tree))
         return
@@ -89,8 +89,14 @@ def command(
         screen.say(f"   longer {len(times) - len(shown):6d}")
     screen.say(
         f"fastest cycle that the link holds: {found.cycle * 1000:g} ms (--cycle {found.cycle:g}); of "
-        f"{count} cycles {100 * found.late_share:.1f} % were late and {found.missed} without a sample"
+        f"{len(found.lateness)} cycles {100 * found.late_share:.1f} % were late and {found.missed} without a "
+        "sample"
     )
+    if found.watchdog > found.bears:
+        screen.say(
+            f"the drive's watchdog bears {found.bears * 1000:g} ms of silence, and the slowest exchange took "
+            f"{found.exchange.max() * 1000:.3g} ms: give --watchdog {found.watchdog:g} with it"
+        )
     screen.say(
         f"at that cycle an oscillation lasts at least {found.shortest_period * 1000:.0f} ms: the shorter it "
         "can be, the less travel an experiment takes"

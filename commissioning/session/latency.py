@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import ceil
 from time import perf_counter
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,12 @@ from commissioning.identification.modulating import estimate
 from commissioning.session.armed import in_a_run
 from commissioning.session.desk import Desk, Options, connect
 from commissioning.session.measurement import Measurement
+from commissioning.session.preflight import CYCLES_A_WATCHDOG
 from commissioning.session.result import estimate_json
+from drivers.drive import GUARDS
 from profiles.axis import Axis
-from profiles.errors import MeasurementRejected, UsageError
+from profiles.errors import LinkError, MeasurementRejected, UsageError
+from profiles.library import load_profile
 
 __all__ = ["Latency", "dead_time", "latency"]
 
@@ -27,6 +31,11 @@ _FLAT_OUT = 2e-4  # s: a cycle that no link holds, so that its own time is left
 _SPARE = 1.3  # of the 99th percentile
 _GRID = 5e-4  # s: cycles are rounded up to these
 _LATE = 0.5  # of a cycle: late
+_PATIENCE = 2.0  # s for one answer
+_LONGEST, _FEWEST = 10.0, 30  # s of one kind of measurement; values
+_WATCHDOG_GRID = 0.01  # s
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +49,7 @@ class Latency:
     cycle : s, the fastest that the link holds with some spare time
     lateness : (n,) s, against the deadlines of that cycle
     missed : cycles without a sample, of the last
+    bears : s of silence that the drive's watchdog bears now
     """
 
     service: Array
@@ -47,6 +57,14 @@ class Latency:
     cycle: float
     lateness: Array
     missed: int
+    bears: float
+
+    @property
+    def watchdog(self) -> float:
+        """S of silence that the drive's watchdog has to bear on this link."""
+        slowest = float(np.max(self.exchange, initial=0.0))
+        needed = max(GUARDS * _SPARE * slowest, CYCLES_A_WATCHDOG * self.cycle)
+        return ceil(needed / _WATCHDOG_GRID) * _WATCHDOG_GRID
 
     @property
     def late_share(self) -> float:
@@ -76,29 +94,66 @@ def dead_time(axis: Axis, options: Options, desk: Desk) -> dict[str, Any]:
 
 
 def latency(axis: Axis, count: int, desk: Desk) -> Latency:
-    """Measure with the drive de-energised; raises LinkError, PreflightRefused, UsageError."""
-    if axis.link is not None and axis.link.startswith("virtual://"):
+    """Measure with the drive de-energised; raises LinkError, PreflightRefused, UsageError.
+
+    What answers within 2 s is measured, whatever the drive's watchdog bears: it is to be chosen by this. A
+    link that is lost on the way leaves what has been measured.
+    """
+    if axis.link is None or axis.link.startswith("virtual://"):
         raise UsageError("latency: virtual:// has no link to be late; serve the axis")
-    if axis.link is not None and "clock=step" in axis.link:
+    if "clock=step" in axis.link:
         raise UsageError("latency: a drive with clock=step has no time; serve it with --clock wall")
-    with connect(axis, _FLAT_OUT, desk, "latency") as drive:
+    patient = _patient(axis)
+    with connect(patient, _FLAT_OUT, desk, "latency") as drive:
         power = drive.profile.power
         status = "statusword" if power is None else power.enabled.parameter
         drive.refuse_rehearsal()
-        desk.tell(f"{count} reads of one parameter")
-        service = []
-        for _ in range(count):
-            begin = perf_counter()
-            drive.read_raw(status)
-            service.append(perf_counter() - begin)
+
+        def read() -> Iterator[float]:
+            while True:
+                begin = perf_counter()
+                drive.read_raw(status)
+                yield perf_counter() - begin
+
+        desk.tell("reads of one parameter")
+        service = _taken(read(), count, desk)
+        count = min(count, max(_FEWEST, round(_LONGEST / float(np.median(service)))))
         desk.tell(f"{count} cycles, as fast as they go; the drive stays de-energised")
-        times = np.array([e.time for e in drive.rehearse(count + 1)])
-    exchange = np.asarray(np.diff(times), np.float64)
+        times = _taken((e.time for e in drive.rehearse(count + 1)), count + 1, desk)
+    exchange = np.diff(np.array(times))
     cycle = ceil(_SPARE * float(np.quantile(exchange, 0.99)) / _GRID) * _GRID
-    with connect(axis, cycle, desk, "latency") as drive:
+    with connect(patient, cycle, desk, "latency") as drive:
         desk.tell(f"{count} cycles of {cycle * 1000:g} ms")
-        kept = drive.rehearse(count)
+        kept = _taken(drive.rehearse(count), count, desk)
+        own = load_profile(axis.profile or drive.profile.name).watchdog.timeout
+    bears = axis.limits.watchdog or own
     return Latency(
         np.array(service), exchange, cycle, np.array([e.lateness for e in kept]),
-        sum(e.missed for e in kept),
+        sum(e.missed for e in kept), bears,
     )  # fmt: skip
+
+
+def _patient(axis: Axis) -> Axis:
+    """The axis with a link that waits for 2 s, in and out of the cycle."""
+    link = axis.link or ""
+    if "timeout=" not in link:
+        link += f"{'&' if '?' in link else '?'}timeout={_PATIENCE:g}"
+    limits = axis.limits.model_copy(update={"watchdog": GUARDS * _PATIENCE})
+    return axis.model_copy(update={"link": link, "limits": limits})
+
+
+def _taken(values: Iterator[T], count: int, desk: Desk) -> list[T]:
+    """As many of them as come within some time, and before the link is lost; raises LinkError for too few."""
+    found: list[T] = []
+    begun = perf_counter()
+    try:
+        for value in values:
+            found.append(value)
+            late = perf_counter() - begun > _LONGEST and len(found) > _FEWEST
+            if len(found) >= count or late:
+                break
+    except LinkError as error:
+        if len(found) <= _FEWEST:
+            raise
+        desk.tell(f"{error}; what follows is of the {len(found)} before")
+    return found

@@ -16,6 +16,7 @@ from profiles.errors import DriveFault, PreflightRefused, UsageError, WriteDenie
 from profiles.schema import Mode
 
 __all__ = [
+    "CYCLES_A_WATCHDOG",
     "Limits",
     "cautious_speed",
     "check_watchdog",
@@ -29,7 +30,7 @@ __all__ = [
 
 _AT_REST_COUNTS = 3
 _LOOK, _PATIENCE = 0.05, 1.0  # s; it may still settle from what was before
-_CYCLES_A_WATCHDOG = 3
+CYCLES_A_WATCHDOG = 3
 _FEWEST_COUNTS = 500  # of travel
 _PROOF_CYCLES = 5
 _STAYS = 0.05  # of the travel, in the proof
@@ -70,10 +71,10 @@ def look(drive: Drive, axis: Axis) -> None:
             "it so: 'tworelay stop' makes it safe)"
         )
     watchdog = drive.profile.watchdog
-    if watchdog.kind != "none" and drive.cycle > watchdog.timeout / _CYCLES_A_WATCHDOG:
+    if watchdog.kind != "none" and drive.cycle > watchdog.timeout / CYCLES_A_WATCHDOG:
         raise PreflightRefused(
             f"a cycle of {drive.cycle * 1000:g} ms is too slow for the drive's watchdog of "
-            f"{watchdog.timeout * 1000:g} ms, which needs {_CYCLES_A_WATCHDOG} cycles; give a shorter "
+            f"{watchdog.timeout * 1000:g} ms, which needs {CYCLES_A_WATCHDOG} cycles; give a shorter "
             "--cycle"
         )
     other = drive.other_master()

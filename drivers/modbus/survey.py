@@ -11,12 +11,13 @@ from dataclasses import dataclass
 
 from drivers.modbus.bus import identify
 from drivers.modbus.client import Client, ExceptionAnswer, NoAnswer
-from profiles.errors import LinkError
-from profiles.schema import Identity
+from profiles.errors import AccessDenied, LinkError
+from profiles.schema import NOBODY, Identity
 
-__all__ = ["Unit", "is_there", "survey"]
+__all__ = ["EVERYBODY", "Unit", "is_there", "survey"]
 
 _GATEWAY = (10, 11)  # gateway path unavailable, target failed to respond
+_SUSPICIOUS, _FAR = 4, 3  # units that answer, from the first on, and from the last
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,20 +28,49 @@ class Unit:
     identity: Identity
 
 
+EVERYBODY = Unit(-1, NOBODY)  # after the others: every number answers, so it is one drive
+
+
 def survey(
     client: Client, units: Iterable[int], timeout: float, tell: Callable[[int], None]
 ) -> Iterator[Unit]:
-    """Units of `units` that answer; `tell` hears each number before it is asked. Raises LinkLost."""
-    for number in units:
-        tell(number)
+    """Units of `units` that answer; `tell` hears each number before it is asked. Raises LinkLost.
+
+    Where the first few all answer, and so do some far away, it is one drive that does not look at the number:
+    the first stands for all.
+    """
+    left = list(units)
+    row = 0  # of units that answered, from the first on
+    for asked, number in enumerate(left.copy(), 1):
+        unit = _asked(client, number, timeout, tell)
+        if unit is None:
+            continue
+        row += 1
+        yield unit
+        if row == asked == _SUSPICIOUS and _are_there(client, left[asked:], timeout):
+            yield EVERYBODY
+            return
+
+
+def _are_there(client: Client, left: list[int], timeout: float) -> bool:
+    """Whether some units that nobody would give answer, too."""
+    for number in left[-1 : -_FAR - 1 : -1]:
         client.turn_to(number)
         if not is_there(client, timeout):
-            continue
-        try:
-            found = identify(client)
-        except LinkError:  # it answers to registers, and not to this
-            found = Identity(vendor="", product="", revision="", serial="")
-        yield Unit(number, found)
+            return False
+    return len(left) >= _FAR
+
+
+def _asked(client: Client, number: int, timeout: float, tell: Callable[[int], None]) -> Unit | None:
+    tell(number)
+    client.turn_to(number)
+    if not is_there(client, timeout):
+        return None
+    try:
+        found = identify(client)
+    except (AccessDenied, LinkError):  # it answers to registers, and not to this
+        found = NOBODY
+    return Unit(number, found)
 
 
 def is_there(client: Client, timeout: float) -> bool:

@@ -16,9 +16,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
+from drivers.home import home
 from profiles.errors import Refused
 
-__all__ = ["Lock", "Owner", "Taken", "take"]
+__all__ = ["Lock", "Owner", "Taken", "leave_word", "take", "word_left"]
 
 
 class Owner(NamedTuple):
@@ -84,6 +85,20 @@ def _noted(file: Path) -> Owner:
         return Owner(int(process), user, doing, float(since))
     except (OSError, ValueError):
         return Owner(None, "", "", None)
+
+
+def leave_word(name: str, doing: str) -> None:
+    """Note what this process does to what `name` locks; nothing hangs on it."""
+    with contextlib.suppress(OSError):
+        file = home() / "words" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(_note(time.time(), doing), "utf-8")
+
+
+def word_left(name: str, within: float) -> str:
+    """Who left word within so many s, and of what; '': nobody."""
+    owner = _noted(home() / "words" / name)
+    return str(owner) if owner.since is not None and time.time() - owner.since <= within else ""
 
 
 if sys.platform == "linux":

@@ -7,11 +7,11 @@ import hashlib
 import threading
 from collections.abc import Generator
 
-from commissioning.locks import Lock, Taken, take
+from commissioning.locks import Lock, Taken, leave_word, take, word_left
 from drivers.places import buses
 from profiles.errors import Refused
 
-__all__ = ["announce", "owned"]
+__all__ = ["announce", "note_stop", "owned", "stopped_by"]
 
 
 class _Holdings(threading.local):
@@ -35,7 +35,7 @@ def owned(link: str, doing: str) -> Generator[None]:
             if bus in _mine.locks:
                 continue
             try:
-                lock = take(hashlib.sha256(bus.encode()).hexdigest()[:20], doing)
+                lock = take(_name(bus), doing)
             except Taken as taken:
                 raise Refused(
                     f"another tworelay has the bus of {link} ({taken.owner}): wait for it, or end it; "
@@ -50,6 +50,21 @@ def announce(doing: str) -> None:
     """Let others know what this thread uses its buses for."""
     for lock in _mine.locks.values():
         lock.announce(doing)
+
+
+def note_stop(link: str) -> None:
+    """Let the owner of a bus, if it has one, know who stops a drive on it."""
+    for bus in buses(link):
+        leave_word(_name(bus), "tworelay stop")
+
+
+def stopped_by(link: str, since: float) -> str:
+    """Who has stopped a drive on the bus of a link in the last `since` s; '': nobody of ours."""
+    return next(filter(None, (word_left(_name(bus), since) for bus in buses(link))), "")
+
+
+def _name(bus: str) -> str:
+    return hashlib.sha256(bus.encode()).hexdigest()[:20]
 
 
 def _give_back(bus: str) -> None:

@@ -12,6 +12,7 @@ from commissioning.envelope import Envelope
 from commissioning.experiments.plan import Plan
 from commissioning.guardian import NOBODY, Guardian
 from commissioning.interruption import Interruption
+from commissioning.ownership import stopped_by
 from drivers.drive import Drive, StopReport
 from drivers.realtime import real_time
 from drivers.sample import Sample
@@ -19,6 +20,8 @@ from profiles.errors import DriveFault, FeedbackReversed, Interrupted, TwoRelayE
 from profiles.schema import Mode
 
 __all__ = ["Recorder", "run", "verified"]
+
+_LATELY = 5.0  # s
 
 T = TypeVar("T")
 
@@ -126,6 +129,8 @@ def verified(report: StopReport, error: BaseException | None) -> None:
 
 def _fault_text(drive: Drive) -> str:
     """Why the drive is no longer enabled."""
+    if stopper := stopped_by(drive.link, _LATELY):
+        return f"the drive was stopped from outside, by {stopper}: the job ends here"
     try:
         state = drive.status_text()
         if not drive.in_fault():

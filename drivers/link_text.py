@@ -105,7 +105,9 @@ def parse(text: str) -> Link:
     try:
         pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
     except ValueError:
-        raise UsageError(f"{shown}: options are written ?key=value&key=value") from None
+        bare = [part for part in query.split("&") if "=" not in part]
+        named = f"'{bare[0]}' has no value" if bare and bare[0] else "an option is empty"
+        raise UsageError(f"{shown}: {named}; options are written ?key=value&key=value") from None
     keys = [key for key, _ in pairs]
     for key in keys:
         if keys.count(key) > 1:

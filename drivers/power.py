@@ -200,7 +200,8 @@ class Cia402Power:
             if enabled and height < reached:
                 raise DriveFault(
                     f"the drive fell back to '{here}' while it was enabled (STO, a limit switch, an enable "
-                    f"input?): {self._describe()}; it is not tried again"
+                    f"input; or its watchdog, for which this link is too slow: 'tworelay latency'): "
+                    f"{self._describe()}; it is not tried again"
                 )
             reached = height
             step = cia402.next_controlword(word, enabled=enabled)

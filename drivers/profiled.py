@@ -426,12 +426,13 @@ class ProfiledDrive:
             raise PreflightRefused(
                 "the drive is enabled, so somebody else controls it: its cycle is not disturbed"
             )
-        stores = [s.write for s in self._supported(Mode.TORQUE).before if s.write]
-        if self.profile.power is not None and stores:
+        steps = self._supported(Mode.TORQUE).before
+        settings = [s.write for s in steps if s.write is not None and s.write not in SET]
+        if self.profile.power is not None and settings:
             raise PreflightRefused(
-                f"a cycle of profile '{self.profile.name}' writes a register that the drive may store each "
-                f"time, unless {stores[0]} is set: the experiment does that, this measurement does not. "
-                "'tworelay identify' tells how late its cycles were"
+                f"a cycle of profile '{self.profile.name}' needs {settings[0]} set before (or the drive may "
+                "store each command): the experiment does that, and puts it back; this measurement writes no "
+                "setting. 'tworelay identify' tells how late its cycles were"
             )
 
     def rehearse(self, count: int) -> Iterator[Exchange]:

@@ -605,7 +605,11 @@ class Compensation(_Strict):
         if missing := must - there:
             raise ValueError(f"law '{self.law}' needs {', '.join(sorted(missing))}")
         if extra := there - must - may:
-            raise ValueError(f"law '{self.law}' has no {', '.join(sorted(extra))}")
+            takes = ", ".join(sorted(must | may)) or "no parameters"
+            raise ValueError(
+                f"law '{self.law}' takes {takes}, and the profile names "
+                f"{', '.join(sorted(extra))}, too: leave that out, or name the law that it belongs to"
+            )
         if (self.law is CompensationLaw.HOST) != (self.host is not None):
             raise ValueError("law 'host' names the torque offset as host, and no other law does")
         return self

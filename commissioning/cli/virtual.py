@@ -5,13 +5,16 @@ from __future__ import annotations
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text, say
 from profiles.errors import UsageError
+
+if TYPE_CHECKING:
+    from drivers.virtual.axes import VirtualAxis
 
 __all__ = ["command"]
 
@@ -47,7 +50,7 @@ def list_axes(habits: bool, as_json: bool) -> None:
         say(f"{axis.name:<13} {axis.title}")
         say(
             f"{'':<13} inertia {axis.inertia:g} {j}, viscous {axis.viscous:g} {b}, Coulomb "
-            f"{axis.coulomb:g} {e}, load {axis.load:g} {e}, rated {axis.rated:g} {e}, travel "
+            f"{_coulomb(axis)} {e}, load {axis.load:g} {e}, rated {axis.rated:g} {e}, travel "
             f"±{axis.travel:.4g} {p}{', holding brake' if axis.brake else ''}"
         )
         needs = [] if rotary else ['motion = "linear"', "feed = 6.283185307179586"]
@@ -142,6 +145,14 @@ def serve_axis(
         say,
     )  # fmt: skip
     sys.exit(128 + received)
+
+
+def _coulomb(axis: VirtualAxis) -> str:
+    """What acts in all: a geared axis has friction on either side."""
+    if not axis.load_coulomb:
+        return f"{axis.coulomb:g}"
+    each = f"motor {axis.coulomb:g}, load {axis.load_coulomb:g}"
+    return f"{axis.coulomb + axis.load_coulomb:g} ({each})"
 
 
 def _place(text: str | None) -> tuple[str, int] | None:

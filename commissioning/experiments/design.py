@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import sqrt
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import ceil, floor, log10, sqrt
 
 from commissioning.experiments.first_look import FirstLook
 from commissioning.experiments.plan import Context
@@ -19,6 +20,8 @@ _SHORTEST_PERIOD = 0.1  # s
 _FEWEST_COUNTS = 300  # encoder counts of half-swing, by what the first look knows
 _TORQUE_SHARE = 0.97  # of the limit; the rest is for the bias to move
 _TRAVEL_SHARE = 0.7  # of the travel: what the worst stop may take
+_SPARE = 1.3  # of what is recommended: the next first look finds a little less, or more
+_MOST_TIMES = 1000  # of the travel: what is looked for at most
 _SPEED_SHARE = 0.5  # of the speed limit, at the peak of the larger test
 
 
@@ -96,31 +99,113 @@ def design(
             f"relay amplitudes of {d1:.4g} and {_RATIO * d1:.4g} {unit}, but the torque limit of "
             f"{context.torque:.4g} {unit} leaves {most:.4g} {unit}; raise --max-torque"
         )
-    f, inertia = min(known.coulomb, 0.8 * d1), known.inertia
-
-    def half_swing(period: float, d: float) -> float:
-        return period**2 * (d * d - f * f) / (32 * inertia * d)  # rigid axis, no viscous friction
-
-    period = max(pace.dead_times * known.dead_time, pace.cycles * context.cycle, _SHORTEST_PERIOD)
-    counts = _FEWEST_COUNTS * context.resolution
-    period = max(period, sqrt(counts * 32 * inertia * d1 / (d1 * d1 - f * f)))
-    period = min(period, longest_period)
-    room = _room(context, stopping, d2, f, inertia, pace.overdrive)
-    by_travel = sqrt(room * 32 * inertia * d2 / (d2 * d2 - f * f))
-    by_speed = _SPEED_SHARE * context.speed * 4 * inertia * d2 / (d2 * d2 - f * f)
-    period = min(period, by_travel, by_speed)
-    first = half_swing(period, d1)
-    if room <= 0 or first < 20 * context.resolution or period < 8 * context.cycle:
-        raise PreflightRefused(
-            f"the travel of ±{context.travel:.4g} {context.position_unit} is too small: it allows a "
-            f"swing of ±{room:.3g} {context.position_unit} and a period of {period * 1000:.3g} ms, "
-            f"against a cycle of {context.cycle * 1000:g} ms; give more --travel or a shorter --cycle"
-        )
-    growth = half_swing(period, d2) / first
+    f = min(known.coulomb, 0.8 * d1)
+    pair = _Pair(context, pace, d1, d2, f, known.inertia, known.dead_time, longest_period)
+    fit = pair.fit(context.travel, stopping)
+    if fit is None:
+        raise PreflightRefused(_no_room(context, stopping, pair))
+    period, room = fit
+    first = pair.half_swing(period, d1)
+    growth = pair.half_swing(period, d2) / first
     return RelayDesign(
         d1, d2, _overdrive(context, known, pace, d2), 0.3 * first * f / d1, period, first,
         room / growth, known.offset,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """Both tests with amplitudes that are chosen; which period fits where."""
+
+    context: Context
+    pace: Pace
+    d1: float
+    d2: float
+    friction: float
+    inertia: float
+    dead_time: float
+    longest: float
+
+    def half_swing(self, period: float, d: float) -> float:
+        """Of a rigid axis without viscous friction, rad or m."""
+        return period**2 * (d * d - self.friction**2) / (32 * self.inertia * d)
+
+    def _period(self, half_swing: float, d: float) -> float:
+        return sqrt(half_swing * 32 * self.inertia * d / (d * d - self.friction**2))
+
+    def fit(self, travel: float, stopping: Stopping) -> tuple[float, float] | None:
+        """Period (s) and largest half-swing (rad or m) with so much travel; None: nothing fits."""
+        context, pace = self.context, self.pace
+        period = max(
+            pace.dead_times * self.dead_time, pace.cycles * context.cycle, _SHORTEST_PERIOD
+        )
+        period = max(period, self._period(_FEWEST_COUNTS * context.resolution, self.d1))
+        room = _room(travel, stopping, self.d2, self.friction, self.inertia, pace.overdrive)
+        force = self.d2**2 - self.friction**2
+        by_speed = _SPEED_SHARE * context.speed * 4 * self.inertia * self.d2 / force
+        period = min(period, self.longest, self._period(room, self.d2), by_speed)
+        first = self.half_swing(period, self.d1)
+        if room <= 0 or first < 20 * context.resolution or period < 8 * context.cycle:
+            return None
+        return period, room
+
+
+def _no_room(context: Context, stopping: Stopping, pair: _Pair) -> str:
+    """Why nothing fits the travel, and which of travel, watchdog and cycle would mend it, with numbers."""
+    p = context.position_unit
+    goes = stopping.distance(0.0, pair.pace.overdrive * pair.d2)
+    ways = []
+    travel = _least(
+        lambda x: pair.fit(x, stopping) is not None, context.travel, _MOST_TIMES * context.travel
+    )
+    if travel is not None:
+        ways.append(f"--travel {_up(_SPARE * travel)}")
+    by_watchdog = stopping.watchdog > 0
+    quickest = replace(stopping, reaction=stopping.delay)
+    if pair.fit(context.travel, quickest) is not None:
+        slower = _least(
+            lambda x: (
+                pair.fit(context.travel, replace(stopping, reaction=stopping.reaction - x))
+                is not None
+            ),
+            0.0,
+            stopping.reaction - stopping.delay,
+        )
+        left = stopping.reaction - stopping.delay - (slower or 0.0)
+        if by_watchdog and left > 3 * context.cycle:
+            ways.append(f"--watchdog {left / _SPARE:.2g}")
+        elif not by_watchdog:
+            ways.append(f"a shorter --cycle (now {context.cycle * 1000:g} ms)")
+    notices = (
+        f"the drive's watchdog notices a dead link only after {stopping.watchdog * 1000:g} ms"
+        if by_watchdog
+        else f"a dead link is noticed after {(stopping.reaction - stopping.delay) * 1000:.3g} ms"
+    )
+    return (
+        f"the travel of ±{context.travel:.4g} {p} is too small: {notices}, and by then the larger test's "
+        f"{pair.d2:.4g} {context.effort_unit} have moved an axis at rest by {goes:.3g} {p}; "
+        + (
+            f"{' or '.join(ways)} would do"
+            if ways
+            else "give much more --travel, or less --max-torque"
+        )
+    )
+
+
+def _least(holds: Callable[[float], bool], low: float, high: float) -> float | None:
+    """The smallest value at which it holds, from low to high; None: not even there."""
+    if not holds(high):
+        return None
+    for _ in range(40):
+        middle = (low + high) / 2
+        low, high = (low, middle) if holds(middle) else (middle, high)
+    return high
+
+
+def _up(value: float) -> str:
+    """Two digits, no less than the value."""
+    step = 10.0 ** (floor(log10(value)) - 1)
+    return f"{ceil(value / step) * step:.2g}"
 
 
 def _overdrive(context: Context, known: FirstLook, pace: Pace, d2: float) -> float:
@@ -130,7 +215,7 @@ def _overdrive(context: Context, known: FirstLook, pace: Pace, d2: float) -> flo
 
 
 def _room(
-    context: Context, stopping: Stopping, d: float, f: float, inertia: float, overdrive: float
+    travel: float, stopping: Stopping, d: float, f: float, inertia: float, overdrive: float
 ) -> float:
     """Largest half-swing whose worst stop stays inside the travel."""
 
@@ -138,10 +223,10 @@ def _room(
         peak = sqrt(2 * half_swing * (d * d - f * f) / (inertia * d))
         return travel_needed(stopping, half_swing, f / d, peak, overdrive * d)
 
-    low, high = 0.0, _TRAVEL_SHARE * context.travel
+    low, high = 0.0, _TRAVEL_SHARE * travel
     for _ in range(60):
         middle = (low + high) / 2
-        if needed(middle) <= context.travel:
+        if needed(middle) <= travel:
             low = middle
         else:
             high = middle

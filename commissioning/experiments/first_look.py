@@ -127,8 +127,9 @@ def _evaluate(context: Context, breakaway: float, offset: float, pushes: list[Pu
     inertia = float(np.median([_inertia(p, coulomb, viscous) for p in pushes]))
     if not inertia > 0:
         raise MeasurementRejected(
-            f"the pushes contradict each other (inertia {inertia:.3g}): is the position signal "
-            f"noisy, or the travel of ±{context.travel:.3g} {context.position_unit} too small?"
+            f"the pushes contradict each other (inertia {inertia:.3g}): is there a torque that depends on "
+            f"the position (cogging), is the travel of ±{context.travel:.3g} {context.position_unit} too "
+            "small, or the position signal noisy?"
         )
     dead_time = float(np.median([p.dead_time for p in pushes]))
     return FirstLook(breakaway, offset, coulomb, viscous, inertia, dead_time)
@@ -202,8 +203,9 @@ def push(context: Context, offset: float, torque: float) -> Plan[Push]:
     if not acceleration > 0:
         raise MeasurementRejected(
             f"a push of {torque:.4g} {context.effort_unit} gave no acceleration along it "
-            f"({acceleration:.3g} {context.position_unit}/s2): is the position signal noisy, or the "
-            "cycle too slow for this travel?"
+            f"({acceleration:.3g} {context.position_unit}/s2): does the axis rest in a detent (cogging, a "
+            "gear, elastic pre-sliding) that such a push does not leave? More --max-torque or --travel does; "
+            "else the cycle is too slow for this travel, or the position signal noisy"
         )
     still = next(
         s for s in samples[switched:] if abs(s.position - last.position) <= 2.5 * context.resolution

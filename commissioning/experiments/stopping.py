@@ -31,13 +31,17 @@ class Stopping:
     inertia : J, kg.m2 or kg
     friction : f, N.m or N; the offset is cancelled by the bias as long as the old torque acts
     braking : b, torque that is certain to brake, N.m or N, > 0
-    reaction : t, s: cycles until the loss is noticed, dead time, and the drive's own reaction
+    reaction : t, s: until the loss is noticed, dead time, and the drive's own reaction
+    delay : the part of t that no setting changes, s
+    watchdog : s until the drive's watchdog notices it; 0: this computer does, by its cycles
     """
 
     inertia: float
     friction: float
     braking: float
     reaction: float
+    delay: float = 0.0
+    watchdog: float = 0.0
 
     def coefficients(self, torque: float) -> tuple[float, float, float]:
         """c0, c1, c2 of distance = c0 + c1·|v| + c2·v² under a relay torque d = `torque`."""

@@ -7,9 +7,11 @@ import json
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 from commissioning.journal import RESTORED, STORED, STORING, Journal, Kind, RunRecord
+from commissioning.ownership import note_stop
 from commissioning.runs import RunFolder, resolve
 from commissioning.session.desk import Desk, connect, none_unfinished, same_drive
 from commissioning.settings import Restored, Return, Settings, planned, put_back, settle
@@ -39,6 +41,8 @@ __all__ = [
     "store",
     "unverified",
 ]
+
+_FILE = 0.5  # s that a note to others may take
 
 
 @dataclass(frozen=True, slots=True)
@@ -439,7 +443,10 @@ def stop(axis: Axis, desk: Desk) -> StopReport:
                 f"profile '{drive.profile.name}' has no way to stop the drive, which says: "
                 f"{drive.status_text()}; use its own controller or the emergency stop"
             )
+        word = Thread(target=note_stop, args=(drive.link,), daemon=True)  # a stop waits for no file
+        word.start()
         report = drive.stop(desk.interruption.hurried)
+        word.join(_FILE)
         _tell_what_is_left(drive, desk)
     if report.deenergised is None:
         raise LinkError(str(report))

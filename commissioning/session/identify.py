@@ -46,6 +46,7 @@ __all__ = ["identify"]
 
 _LEAST_PERIOD = 20  # dead times, for the methods of the thesis
 _LEAST_CYCLES = 25, 15  # a period, for the methods of the thesis and for the others
+_MANY_LATE = 0.01  # of the cycles
 _LIMITED_SHARE, _MUCH_LIMITED = 0.002, 0.2  # of the cycles
 
 
@@ -117,7 +118,22 @@ def _fill(
         },
     }
     reasons = [*measured.reasons, *_reasons(measured, job, drive.cycle, options.method)]
-    judge(result, reasons)
+    judge(result, [*_of_jitter(experiment, reasons), *reasons])
+
+
+def _of_jitter(experiment: dict[str, Any], reasons: list[Reason]) -> list[Reason]:
+    """Late or lost cycles, before what they may be taken for."""
+    late, lost = experiment["late_share"], experiment["lost_share"]
+    if max(late, lost) <= _MANY_LATE or not any("elastic" in reason.text for reason in reasons):
+        return []
+    return [
+        Reason(
+            Weight.NOTE,
+            f"{100 * late:.1f} % of the cycles came late and {100 * lost:.1f} % were lost, which alone can "
+            f"leave torque unexplained: try a longer --cycle than {experiment['cycle'] * 1000:g} ms "
+            "('tworelay latency' finds one), or a less busy computer, before the axis is taken for elastic",
+        )
+    ]
 
 
 def _turnaround(recorder: Recorder) -> float:

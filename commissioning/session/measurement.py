@@ -429,4 +429,5 @@ class Measurement:
         watchdog = self.drive.profile.watchdog
         silent = watchdog.timeout if watchdog.kind != "none" else 0.0
         reaction = max(_NOTICE * self.drive.cycle, silent) + delay
-        return Stopping(known.inertia, known.coulomb, certain, reaction)
+        watches = silent if silent > _NOTICE * self.drive.cycle else 0.0
+        return Stopping(known.inertia, known.coulomb, certain, reaction, delay, watches)

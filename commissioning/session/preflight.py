@@ -152,9 +152,13 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
     fastest = drive.read(named["speed"]) if "speed" in named else None
     speed = options.max_speed or axis.limits.speed or fastest
     if not speed:
+        has = (
+            "The drive has no speed limit"
+            if fastest is None
+            else f"The drive's speed limit ({drive.profile.parameters[named['speed']].address}) reads 0"
+        )
         raise UsageError(
-            f"how fast may the axis move? The drive has no speed limit: give --max-speed in "
-            f"{axis.position_unit}/s"
+            f"how fast may the axis move? {has}: give --max-speed in {axis.position_unit}/s"
         )
     if torque > most * (1 + 1e-9):
         raise PreflightRefused(

@@ -107,6 +107,12 @@ def verify(
             f"the compensation does not help: error after reversals {before.reversal:.3g} {unit} without, "
             f"{last.reversal:.3g} {unit} with {100 * steps[-1].fraction:g} % of the friction compensated"
             + (", and the axis hunts" if last.hunts else "")
+            + (
+                ". The error grows with it: is the compensation's sign right in the profile (negative_sign), "
+                "and the drive's polarity?"
+                if last.reversal > _WORSE * before.reversal
+                else ""
+            )
             + "; the values from before the run are back in the drive"
         )
     return result

@@ -266,6 +266,7 @@ class ModbusBus:
         """One exchange, in as many transactions as it takes; with the middle of the position's, s."""
         client, out, now = self._client, self._out, self._pace.now
         values: tuple[int, ...] = ()
+        timed = self.in_real_time  # else no time passes while an answer is awaited
         begun, latched = now(), 0.0
         if not self._one_transaction:
             client.write(self._write_function, out.start, words, self._deadline, in_cycle=True)
@@ -273,7 +274,7 @@ class ModbusBus:
         for at, block in enumerate(self._in):
             if at == 0 and self._one_transaction:
                 answer = client.read_write(
-                    block.start, block.count, out.start, words, self._deadline
+                    block.start, block.count, out.start, words, self._deadline, in_cycle=timed
                 )
             else:
                 answer = client.read(3, block.start, block.count, self._deadline, in_cycle=True)

@@ -347,6 +347,8 @@ class Client:
         write_address: int,
         words: list[int],
         timeout: float | None,
+        *,
+        in_cycle: bool = False,
     ) -> list[int]:
         """Write, then read, in one transaction (FC 23)."""
         kind = Kind(23, count)
@@ -354,7 +356,7 @@ class Client:
             self._client.readwrite_registers,
             kind,
             timeout,
-            in_cycle=True,
+            in_cycle=in_cycle,
             read_address=read_address,
             read_count=count,
             write_address=write_address,

@@ -27,6 +27,11 @@ if TYPE_CHECKING:
 
 __all__ = ["Endpoints", "serve"]
 
+_TROUBLE = {
+    errno.EADDRINUSE: "another program listens there; port 0 is any free one",
+    errno.EADDRNOTAVAIL: "the address is not one of this machine",
+    errno.EACCES: "this user may not listen there: take a port above 1023",
+}
 _COMPLAINTS = 20  # lines, at most
 _POLL = 0.002  # s: how often timers of the drive run while nobody talks to it
 NODE = 5
@@ -119,13 +124,12 @@ async def _serve(
                 poll, links = await _canopen(stack, device, endpoints)
                 for link in links:
                     announce(link + suffix)
-        except (OSError, RuntimeError) as error:
+        except OSError as error:
             asked = (endpoints.modbus_tcp, endpoints.modbus_rtu_tcp, endpoints.socketcand)
             places = [p for p in asked if p is not None]
             where = " or ".join(f"{host}:{port}" for host, port in places)
             raise UsageError(
-                f"cannot serve on {where}: the port is taken, or the address is not this machine's "
-                f"({type(error).__name__})"
+                f"cannot serve on {where}: {_TROUBLE.get(error.errno or 0) or error.strerror or error}"
             ) from None
         while not end.is_set():
             poll()

@@ -9,9 +9,10 @@ import pytest
 
 from drivers.virtual.habits import HABITS
 from tests.conftest import Tworelay
-from tests.habits.cases import CASES, Case, played
+from tests.habits.cases import CASES, MODBUS, Case, played
 
 _ELSEWHERE = {"guarding": "slcan"}
+_ON_A_LINE = {"echo", "noise", "fragments", "lost-answer"}
 
 
 def _wire(case: Case) -> str:
@@ -22,6 +23,13 @@ def _wire(case: Case) -> str:
 def test_on_canopen(case: Case, tworelay: Tworelay, tmp_path: Path) -> None:
     wanted = "survived" if case.on.get(_wire(case), case.refused) is None else "refused by name"
     assert played(case, _wire(case), tworelay, tmp_path) == wanted
+
+
+@pytest.mark.parametrize("case", MODBUS, ids=lambda case: case.name)
+def test_on_modbus(case: Case, tworelay: Tworelay, tmp_path: Path) -> None:
+    wire = "modbus-rtu-tcp" if set(case.habits) & _ON_A_LINE else "modbus-tcp"
+    wanted = "survived" if case.on.get(wire, case.refused) is None else "refused by name"
+    assert played(case, wire, tworelay, tmp_path) == wanted
 
 
 @pytest.mark.parametrize("case", CASES["virtual"], ids=lambda case: case.name)

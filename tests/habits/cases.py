@@ -13,7 +13,7 @@ from typing import Protocol
 from profiles.library import source_text
 from tests.serving import WIRES, serve
 
-__all__ = ["CASES", "Case", "Run", "bus_of", "played"]
+__all__ = ["CASES", "MODBUS", "Case", "Run", "bus_of", "played"]
 
 _TRUE = {
     "coulomb": (0.1, 0.03),

@@ -365,4 +365,4 @@ def test_latency_of_a_drive_that_may_store_each_command_is_refused(
     (link,) = serve("bench", "--profile", "dsy-rs", "--modbus-rtu-tcp", "127.0.0.1:0")
     done = tworelay("latency", axis_file(tmp_path, link, "dsy-rs"))
     assert done.returncode == 3
-    assert "may store each time, unless eeprom_writes is set" in done.stderr
+    assert "needs eeprom_writes set before (or the drive may store each command)" in done.stderr

@@ -51,7 +51,7 @@ def test_the_virtual_profiles_have_the_same_names_and_law() -> None:
         (('minimum = 0\nmaximum = 8', 'minimum = 0\nmaximum = 99999'), "does not fit type i16"),
         (('law = "coulomb+viscous"', 'law = "magic"'), "law"),
         (('positive = "coulomb_positive"\n', ''), "needs positive"),
-        (('viscous = "viscous_gain"', 'viscous = "viscous_gain"\ngain = "viscous_gain"'), "has no gain"),
+        (('viscous = "viscous_gain"', 'viscous = "viscous_gain"\ngain = "viscous_gain"'), "names gain, too"),
         (('parameter = "watchdog_time"', 'parameter = "wd"'), r"\[watchdog\] names 'wd'"),
         (('write = "controlword"\nraw = 0x0002', 'write = "cw"\nraw = 2'), r"\[stop\] names 'cw'"),
         (('write = "controlword"\nraw = 0x0002', 'write = "controlword"'), "a step is either"),

@@ -1,0 +1,91 @@
+"""What of the bytes that come is an answer: echoes, other units and transactions, noise, pieces."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.modbus.incoming import LineIncoming, MbapIncoming, frame_at, units_in
+
+READ = bytes.fromhex("01 03 00 00 00 01 84 0A")  # Serial Line V1.02, with its check sum
+ANSWER = bytes.fromhex("01 03 02 12 34 B5 33")
+OTHER = bytes.fromhex("02 03 02 12 34 F1 33")  # unit 2's
+WRITE = bytes.fromhex("01 06 00 01 00 03 98 0B")  # which is its own answer
+
+
+@pytest.mark.parametrize("noise", [b"", b"\xff\x00\x7e", b"\x01", b"\x01\x03", OTHER])
+@pytest.mark.parametrize("piece", [1, 3, 100])
+def test_the_answer_is_found_in_what_comes(noise: bytes, piece: int) -> None:
+    line = LineIncoming()
+    line.ask(READ)
+    data, found = noise + ANSWER, b""
+    for at in range(0, len(data), piece):
+        found = found or line.take(data[at : at + piece])
+    assert found == ANSWER
+    assert line.oddity == ""
+
+
+@pytest.mark.parametrize("piece", [1, 5, 8, 100])
+def test_an_echo_is_seen_once_and_left_out_from_then_on(piece: int) -> None:
+    line = LineIncoming()
+    for frame, answer in ((READ, ANSWER), (WRITE, WRITE), (READ, ANSWER)):
+        line.ask(frame)
+        data, found = frame + answer, b""
+        for at in range(0, len(data), piece):
+            found = found or line.take(data[at : at + piece])
+        assert found == answer
+    assert "hears itself" in line.oddity
+
+
+def test_a_write_first_says_nothing_of_an_echo() -> None:
+    line = LineIncoming()
+    line.ask(WRITE)
+    assert line.take(WRITE) == WRITE
+    line.ask(READ)
+    assert line.take(ANSWER) == ANSWER
+    line.ask(WRITE)
+    assert line.take(WRITE) == WRITE
+
+
+def test_a_stranger_is_named() -> None:
+    line = LineIncoming()
+    line.ask(READ)
+    assert line.take(OTHER) == b""
+    assert line.stranger() == 2
+    line.ask(READ)
+    assert line.stranger() is None
+
+
+def test_whole_answers_by_their_length_and_check_sum() -> None:
+    assert frame_at(ANSWER) == len(ANSWER)
+    assert frame_at(ANSWER + b"\x00\x00") == len(ANSWER)
+    assert frame_at(ANSWER[:-1]) == 0
+    assert frame_at(ANSWER[:-1] + b"\x00") == 0
+    assert frame_at(bytes.fromhex("01 83 02 C0 F1")) == 5
+    assert units_in(b"\x00" + OTHER + ANSWER + b"\x07") == [2, 1]
+
+
+def adu(transaction: int, unit: int, pdu: str, protocol: int = 0) -> bytes:
+    data = bytes.fromhex(pdu)
+    head = transaction.to_bytes(2, "big") + protocol.to_bytes(2, "big")
+    return head + (len(data) + 1).to_bytes(2, "big") + bytes((unit,)) + data
+
+
+@pytest.mark.parametrize("unit", [1, 0, 255])
+@pytest.mark.parametrize("cut", [0, 3, 6, 9, 12])
+def test_an_answer_to_the_transaction_is_taken_whatever_a_lone_device_calls_itself(
+    unit: int, cut: int
+) -> None:
+    tcp = MbapIncoming()
+    tcp.ask(adu(7, 1, "03 00 00 00 01"))
+    data = adu(6, 1, "03 02 AA AA") + adu(7, unit, "03 02 12 34")
+    assert tcp.take(data[:cut]) + tcp.take(data[cut:]) == adu(7, 1, "03 02 12 34")
+    assert tcp.oddity == ("" if unit == 1 else f"unit {unit} answers for unit 1")
+
+
+def test_another_unit_s_answer_and_another_protocol_are_not() -> None:
+    tcp = MbapIncoming()
+    tcp.ask(adu(7, 1, "03 00 00 00 01"))
+    assert tcp.take(adu(7, 9, "03 02 12 34")) == b""
+    assert tcp.stranger() == 9
+    assert tcp.take(adu(7, 1, "03 02 12 34", protocol=5)) == b""
+    assert tcp.take(adu(7, 1, "03 02 12 34")) == adu(7, 1, "03 02 12 34")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import socket
 import statistics
+import struct
 import subprocess
 import sys
 import time
@@ -14,6 +16,7 @@ from typing import Any
 
 import can
 from can.interfaces.slcan import slcanBus
+from pymodbus.client import ModbusTcpClient
 
 from drivers.link import axis_of, open_drive
 from drivers.scan import scan
@@ -64,8 +67,12 @@ def links() -> list[str]:
 
 @contextmanager
 def _bare_modbus(drive: Any) -> Iterator[Callable[[], None]]:
-    """pymodbus' own FC 23 with the same registers, on the same connection."""
-    client = drive._bus._client._client
+    """pymodbus' own client and FC 23 with the same registers, on a connection of its own."""
+    host, port = _place(drive.link)
+    client = ModbusTcpClient(host, port=port, timeout=1.0, retries=0)
+    client.connect()  # type: ignore[no-untyped-call]
+    assert isinstance(client.socket, socket.socket)
+    client.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def exchange() -> None:
         answer = client.readwrite_registers(
@@ -73,7 +80,35 @@ def _bare_modbus(drive: Any) -> Iterator[Callable[[], None]]:
         )
         assert len(answer.registers) == 5
 
-    yield exchange
+    try:
+        yield exchange
+    finally:
+        client.close()  # type: ignore[no-untyped-call]
+
+
+def _place(link: str) -> tuple[str, int]:
+    host, _, port = link.partition("://")[2].partition("?")[0].rpartition(":")
+    return host, int(port)
+
+
+def _raw_socket(link: str) -> Callable[[], None]:
+    """The same transaction by thirty lines without a library: a socket, a frame, a receive."""
+    stream = socket.create_connection(_place(link))
+    stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    request = struct.pack(">BHHHHBHHH", 23, 0x0200, 5, 0x0100, 3, 6, 0, 0, 0)
+    number = 0
+
+    def exchange() -> None:
+        nonlocal number
+        number = (number + 1) & 0xFFFF
+        stream.sendall(struct.pack(">HHHB", number, 0, len(request) + 1, 1) + request)
+        answer = b""
+        while len(answer) < 19:
+            answer += stream.recv(64)
+        assert struct.unpack_from(">H", answer)[0] == number
+        assert len(struct.unpack_from(">5H", answer, 9)) == 5
+
+    return exchange
 
 
 @contextmanager
@@ -116,27 +151,33 @@ def _against_the_library() -> list[str]:
         f"Median of {_BATCHES} batches of {_BATCH} cycles, the driver's and the bare library's in turn on one drive;",
         "the driver's include scaling, the status and the sample.",
         "",
-        "| link | bare library | driver | ratio |",
-        "| --- | --- | --- | --- |",
+        "Raw socket: the same transaction on a connection of its own, without a library.",
+        "",
+        "| link | raw socket | bare library | driver | driver / library |",
+        "| --- | --- | --- | --- | --- |",
     ]
     for name, bare in (
         ("Modbus TCP", _bare_modbus),
         ("socketcand", _bare_can),
         ("slcan pty", _bare_can),
     ):
-        rates: list[list[float]] = [[], []]
+        rates: list[list[float]] = [[], [], []]
         with served(*WIRES[name], "--clock", "step") as link:
             drive = open_drive(axis_of(link), cycle=0.002)
             with bare(drive) as library:
                 drive.enable(Mode.TORQUE)
+                raw = _raw_socket(link) if bare is _bare_modbus else None
                 for _ in range(_BATCHES):
                     rates[0].append(_rate(library))
+                    if raw is not None:
+                        rates[2].append(_rate(raw))
                     rates[1].append(_rate(lambda drive=drive: drive.exchange(0.0)))  # type: ignore[misc]
                 drive.stop()
                 drive.close()
-        bare_rate, driver_rate = map(statistics.median, rates)
+        bare_rate, driver_rate = map(statistics.median, rates[:2])
+        raw_rate = f"{statistics.median(rates[2]):.0f}" if rates[2] else "–"
         lines.append(
-            f"| {name} | {bare_rate:.0f} | {driver_rate:.0f} | {driver_rate / bare_rate:.2f} |"
+            f"| {name} | {raw_rate} | {bare_rate:.0f} | {driver_rate:.0f} | {driver_rate / bare_rate:.2f} |"
         )
     return [*lines, ""]
 

@@ -156,7 +156,8 @@ def _check_place(link: Link) -> None:
             )
         if is_socketcand and not (found and 0 < int(found["port"]) < 65536):
             raise UsageError(
-                f"{link.text}: a socketcand link is canopen://socketcand/HOST:PORT/CHANNEL?node=N"
+                f"{link.text}: a socketcand link is canopen://socketcand/HOST:PORT/CHANNEL?node=N; an "
+                "interface of this machine is canopen://socketcan/can0?node=N (socketcan, without d)"
             )
     elif not _WORD.fullmatch(link.place.strip("/")):
         raise UsageError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import struct
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from time import sleep
@@ -37,6 +38,7 @@ from profiles.schema import (
 __all__ = ["ModbusBus", "answers", "identify"]
 
 _MOST_READ = 125  # registers in one answer (Modbus application protocol 6.3)
+_PLAIN = {"i16": "h", "u16": "H", "i32": "i", "u32": "I"}
 _ASKED_AGAIN = 0.05  # s
 MISSED_CYCLES = 3  # consecutive cycles without a sample are a lost link (safety, receive deadline)
 
@@ -322,6 +324,8 @@ class _Block:
     def __init__(self, addresses: list[ModbusAddress]) -> None:
         self.start = addresses[0].register_
         self.count = addresses[-1].register_ + addresses[-1].count - self.start
+        self._words = struct.Struct(f">{self.count}H")
+        self._layout = _plain_layout(addresses)
         self._spans = [
             (at, at.register_ - self.start, at.register_ - self.start + at.count)
             for at in addresses
@@ -331,13 +335,29 @@ class _Block:
         return any(at == address for at, _, _ in self._spans)
 
     def encode(self, values: tuple[int, ...]) -> list[int]:
+        if self._layout is not None:
+            return list(self._words.unpack(self._layout.pack(*values)))
         words: list[int] = []
         for (address, _, _), value in zip(self._spans, values, strict=True):
             words += encode(address, value)
         return words
 
     def decode(self, words: list[int]) -> tuple[int, ...]:
+        if self._layout is not None:
+            return self._layout.unpack(self._words.pack(*words))
         return tuple(decode(address, words[a:b]) for address, a, b in self._spans)
+
+
+def _plain_layout(addresses: list[ModbusAddress]) -> struct.Struct | None:
+    """All of a block at once, where every value is a whole one with its high word first."""
+    layout, at = ">", addresses[0].register_
+    for address in addresses:
+        code = _PLAIN.get(address.type)
+        if code is None or address.bits is not None or address.word_order != "high-first":
+            return None
+        layout += "2x" * (address.register_ - at) + code
+        at = address.register_ + address.count
+    return struct.Struct(layout)
 
 
 def _written(profile: Profile) -> _Block:

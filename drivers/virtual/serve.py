@@ -34,6 +34,7 @@ _TROUBLE = {
 }
 _COMPLAINTS = 20  # lines, at most
 _POLL = 0.002  # s: how often timers of the drive run while nobody talks to it
+_IDLE = 0.1  # s, where none runs by itself
 NODE = 5
 UNIT = 1
 BITRATE, BAUDRATE = 500_000, 115_200
@@ -131,10 +132,11 @@ async def _serve(
             raise UsageError(
                 f"cannot serve on {where}: {_TROUBLE.get(error.errno or 0) or error.strerror or error}"
             ) from None
+        has_timers = clock == "wall" or bool(endpoints.habits.values)
         while not end.is_set():
             poll()
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(end.wait(), _POLL if clock == "wall" else 0.1)
+                await asyncio.wait_for(end.wait(), _POLL if has_timers else _IDLE)
     return received
 
 

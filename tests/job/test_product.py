@@ -209,14 +209,16 @@ def test_the_trace_of_a_modbus_run_is_a_pcap_and_of_can_is_candump(
 def _check_pcap(path: Path) -> None:
     data = path.read_bytes()
     assert data[:4] == b"\xd4\xc3\xb2\xa1"  # 0xA1B2C3D4, little endian
-    at, packets = 24, 0
+    at, packets, sent = 24, 0, 0
     while at < len(data):
         length = int.from_bytes(data[at + 8 : at + 12], "little")
         assert data[at + 16] == 0x45, "an IPv4 packet"
+        sent += data[at + 16 + 12 : at + 16 + 16] == b"\x7f\x00\x00\x01"  # from the client
         at += 16 + length
         packets += 1
     assert at == len(data)
     assert packets > 1000
+    assert packets == 2 * sent, "each request once, and each answer once"
 
 
 def _check_candump(path: Path) -> None:

@@ -17,7 +17,6 @@ from drivers import error_codes
 from drivers.canopen.pdo import (
     HEARTBEAT_PRODUCER,
     MAPPING,
-    OFF,
     Objects,
     Pdo,
     agree,
@@ -26,6 +25,7 @@ from drivers.canopen.pdo import (
     name_of,
     size_of,
 )
+from drivers.canopen.pdo_parameters import PRE_OPERATIONAL, PdoParameters
 from drivers.canopen.wire import HEARTBEAT, SYNC, CanWire
 from drivers.drive import GUARDS, Exchange
 from drivers.pace import Pace
@@ -50,11 +50,10 @@ __all__ = ["CanopenBus", "identify", "sync_period"]
 MISSED_CYCLES = 3  # consecutive cycles without a sample are a lost link (safety, receive deadline)
 
 NMT_OPERATIONAL = 0x01
-NMT_PRE_OPERATIONAL = 0x80
 _STATE_OPERATIONAL = 0x05
 # NMT command that brings a node into the state that its heartbeat told
 _COMMANDS: dict[int | None, int] = {
-    0x00: NMT_PRE_OPERATIONAL, 0x04: 0x02, 0x05: NMT_OPERATIONAL, 0x7F: NMT_PRE_OPERATIONAL,
+    0x00: PRE_OPERATIONAL, 0x04: 0x02, 0x05: NMT_OPERATIONAL, 0x7F: PRE_OPERATIONAL,
 }  # fmt: skip
 _STATES = {0x00: "booting", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 _HEARTBEAT_EVERY = 100  # ms, asked of a node that has none
@@ -106,11 +105,12 @@ class CanopenBus:
         cycle = profile.cycle
         self._out = [_canopen(profile.parameters[name].address) for name in cycle.out]
         self._in = [_canopen(profile.parameters[name].address) for name in cycle.in_]
-        self._written = {
+        written = {
             (at.index, at.sub)
             for at, access in ((p.address, p.access) for p in profile.parameters.values())
             if isinstance(at, CanopenAddress) and access is not Access.READ_ONLY
         }
+        self._pdos = PdoParameters(wire, profile.link.patience, written)
         self._widths: dict[CanopenAddress, int] = {}  # bytes, where they are not the profile's
         self._rpdo = Pdo(
             0x1400 + cycle.rpdo - 1,
@@ -258,12 +258,12 @@ class CanopenBus:
             self._ask_for_heartbeat()
         if self._state_before is None:
             self._state_before = self._wire.heartbeat_state
-        self._wire.nmt(NMT_PRE_OPERATIONAL)
+        self._wire.nmt(PRE_OPERATIONAL)
         for pdo in (self._rpdo, self._tpdo):
-            there = self._there(pdo.communication)
+            there = self._pdos.there(pdo.communication)
             wanted = pdo.wanted(there)
             if not agree(there, wanted):
-                self._old |= there | self._beyond(pdo, there)
+                self._old |= there | self._pdos.beyond(pdo, there)
                 self._set_up(pdo, there, wanted)
         self._wire.listen_tpdo(self._tpdo.cob_id)
         self._wire.nmt(NMT_OPERATIONAL)
@@ -280,7 +280,7 @@ class CanopenBus:
         PreflightRefused, ProfileError.
         """
         try:
-            self._map(pdo, wanted)
+            self._pdos.map(pdo, wanted)
         except WriteDenied as denied:
             if denied.busy:
                 raise
@@ -288,7 +288,7 @@ class CanopenBus:
             if self._is_wider(pdo):
                 try:
                     pdo.plan(self._widths)
-                    self._map(pdo, pdo.wanted(there))
+                    self._pdos.map(pdo, pdo.wanted(there))
                 except ProfileError as error:
                     too_much = error
                 except WriteDenied:
@@ -296,46 +296,9 @@ class CanopenBus:
                 else:
                     return
             try:
-                self._keep_its_mapping(pdo, there, denied)
+                self._pdos.keep_its_mapping(pdo, there, denied)
             except PreflightRefused as refused:
                 raise too_much or refused from None
-
-    def _keep_its_mapping(self, pdo: Pdo, there: Objects, denied: WriteDenied) -> None:
-        """Make do with the mapping that the drive has; raises PreflightRefused, saying what it lacks."""
-        communication = pdo.communication
-        for objects in ({**there, (communication, 2): pdo.transmission}, there):
-            with contextlib.suppress(AccessDenied):
-                self._configure(communication, objects)
-                break
-        kept = self._there(communication)
-        if kept[communication, 2] != pdo.transmission:  # it may take that, and not its COB-ID
-            with contextlib.suppress(AccessDenied):
-                self._download((communication, 2), pdo.transmission)
-                kept = self._there(communication)
-        wrong = []
-        if missing := pdo.missing_in(kept):
-            wrong.append(f"it lacks {' '.join(missing)}")
-        foreign = [at for at in pdo.foreign_in(kept) if at in self._written]
-        if foreign and pdo is self._rpdo:
-            names = " ".join(name_of(at) for at in foreign)
-            wrong.append(f"it carries {names}, which the job sets by itself")
-        if odd := pdo.odd_in(kept):
-            wrong.append(f"it has an entry of {odd} bits, which is none of 8, 16, 32 or 64")
-        if kept[communication, 1] & OFF:
-            wrong.append("it is switched off")
-        if kept[communication, 2] != pdo.transmission and pdo is self._tpdo:
-            wrong.append(f"its transmission type is {kept[communication, 2]}, and not 1")
-        if wrong:
-            raise PreflightRefused(
-                f"PDO {communication:04X}h, {pdo.mapping:04X}h cannot be set up ({denied}), and as it is "
-                f"{' and '.join(wrong)}: map it with the drive's own software, or write a profile whose "
-                "[cycle] says rpdo, tpdo, out and in as the drive has them"
-            ) from None
-        pdo.adopt(kept, self._uploaded if pdo is self._rpdo else None)
-
-    def _map(self, pdo: Pdo, wanted: Objects) -> None:
-        self._configure(pdo.communication, wanted)
-        self._check_mapping(pdo)
 
     def _is_wider(self, pdo: Pdo) -> bool:
         """Whether the drive has an object of a PDO wider than the profile, or narrower; asks it."""
@@ -343,9 +306,6 @@ class CanopenBus:
             with contextlib.suppress(AccessDenied):  # what can only be written
                 self._patiently(partial(self.read, at))
         return bool(self._widths.keys() & set(pdo.mapped))
-
-    def _uploaded(self, index: int, sub: int) -> int:
-        return int.from_bytes(self._upload(index, sub), "little")
 
     def _start_again(self) -> None:
         """A node that has lost our heartbeat is not operational any more (1029h:01 = 0)."""
@@ -365,10 +325,10 @@ class CanopenBus:
         if self._running:
             return found
         for pdo in (self._rpdo, self._tpdo):
-            there = self._there(pdo.communication)
+            there = self._pdos.there(pdo.communication)
             wanted = pdo.wanted(there)
             if not agree(there, wanted):
-                there |= self._beyond(pdo, there)
+                there |= self._pdos.beyond(pdo, there)
                 found |= {name_of(at): (old, wanted.get(at, 0)) for at, old in there.items()}
         every = self._heartbeat_time() if self.in_real_time else None
         if every is not None and every != self._heartbeat_wanted(every):
@@ -398,14 +358,14 @@ class CanopenBus:
         for communication in (self._rpdo.communication, self._tpdo.communication):
             part = {at: raw for at, raw in objects.items() if at[0] & ~MAPPING == communication}
             try:
-                changed |= bool(part) and self._put_back_pdo(communication, part)
+                changed |= bool(part) and self._pdos.put_back(communication, part)
             except (AccessDenied, WriteFailed) as error:
                 failures.append(str(error))
         every = objects.get(HEARTBEAT_PRODUCER)
         if every is not None and self._heartbeat_time() not in (None, every):
             changed = True
             try:
-                self._download(HEARTBEAT_PRODUCER, every)
+                self._pdos.download(HEARTBEAT_PRODUCER, every)
             except AccessDenied as error:
                 failures.append(str(error))
         command = _COMMANDS.get(self._state_before)
@@ -416,105 +376,6 @@ class CanopenBus:
             raise WriteFailed("; ".join(failures))
         self._old = {at: raw for at, raw in self._old.items() if at not in objects}
         return changed
-
-    def _put_back_pdo(self, communication: int, objects: Objects) -> bool:
-        """False: it was as before. Raises AccessDenied, WriteFailed."""
-        mapping = communication + MAPPING
-        unused = {
-            at: raw
-            for at, raw in objects.items()
-            if at[0] == mapping and at[1] > objects[mapping, 0]
-        }
-        used = {at: raw for at, raw in objects.items() if at not in unused}
-        there = self._there(communication)
-        lies = {at: raw for at, raw in unused.items() if self._number(*at) != raw}
-        if there == used and not lies:
-            return False
-        self._wire.nmt(NMT_PRE_OPERATIONAL)
-        self._configure(communication, used, lies)
-        there = self._there(communication)
-        if not agree(there, used):
-            wrong = [name_of(at) for at, raw in used.items() if there.get(at) != raw]
-            raise WriteFailed(f"the drive did not take {', '.join(wrong)} back")
-        return True
-
-    def _there(self, communication: int) -> Objects:
-        """Parameters of a PDO as the drive has them; entries only as far as they count."""
-        mapping = communication + MAPPING
-        there = {(communication, sub): self._number(communication, sub) for sub in (1, 2)}
-        count = there[mapping, 0] = self._number(mapping, 0)
-        for sub in range(1, count + 1):
-            there[mapping, sub] = self._number(mapping, sub)
-        return there
-
-    def _beyond(self, pdo: Pdo, there: Objects) -> Objects:
-        """Entries of a mapping that do not count, as far as ours will lie there and they can be read."""
-        mapping, found = pdo.communication + MAPPING, Objects()
-        for sub in range(there[mapping, 0] + 1, len(pdo.entries) + 1):
-            with contextlib.suppress(AccessDenied):
-                found[mapping, sub] = self._number(mapping, sub)
-        return found
-
-    def _configure(
-        self,
-        communication: int,
-        objects: Objects,
-        unused: Objects | None = None,
-    ) -> None:
-        """Write the parameters of one PDO in the order of CiA 301, 7.5.2.36: off, entries, on.
-
-        Entries that lie there as they shall are not written: some drives refuse that. Of `unused` ones, which
-        do not count, what the drive does not take stays: it has no effect.
-        """
-        mapping = communication + MAPPING
-        number = objects[communication, 1]
-
-        def entries(of: Objects) -> Objects:
-            return {at: raw for at, raw in of.items() if at[0] == mapping and at[1]}
-
-        count, wanted = objects[mapping, 0], entries(objects)
-        is_so = self._number(mapping, 0) == count and all(
-            self._lies(at) == raw for at, raw in wanted.items()
-        )
-        if is_so and not unused and self._number(communication, 1) == number:
-            with contextlib.suppress(AccessDenied):  # some take it only while the PDO is off
-                self._download((communication, 2), objects[communication, 2])
-                return
-        self._download((communication, 1), number | OFF)
-        self._download((communication, 2), objects[communication, 2])
-        if unused or not is_so:
-            self._download((mapping, 0), 0)
-            for at, raw in wanted.items():
-                if self._lies(at) != raw:
-                    self._download(at, raw)
-            for at, raw in (unused or {}).items():
-                with contextlib.suppress(AccessDenied):
-                    self._download(at, raw)
-            self._download((mapping, 0), count)
-        self._download((communication, 1), number)
-
-    def _check_mapping(self, pdo: Pdo) -> None:
-        mapping = pdo.communication + MAPPING
-        found = [self._number(mapping, sub + 1) for sub in range(len(pdo.entries))]
-        if found != pdo.entries:
-            raise WriteDenied(
-                f"the drive did not take the mapping of {mapping:04X}h: it reads "
-                + ", ".join(f"{entry:08X}h" for entry in found)
-            )
-
-    def _lies(self, at: tuple[int, int]) -> int | None:
-        """An entry of a mapping, also one that does not count; None where it cannot be read."""
-        try:
-            return self._number(*at)
-        except AccessDenied:
-            return None
-
-    def _number(self, index: int, sub: int) -> int:
-        return int.from_bytes(self._upload(index, sub)[: size_of((index, sub))], "little")
-
-    def _download(self, at: tuple[int, int], raw: int) -> None:
-        data = raw.to_bytes(size_of(at), "little")
-        self._patiently(lambda: self._wire.download(*at, data))
 
     def _check_sync(self) -> None:
         """See that SYNC comes as often as the cycle says; raises PreflightRefused."""
@@ -538,7 +399,7 @@ class CanopenBus:
     def _heartbeat_time(self) -> int | None:
         """Producer heartbeat time (1017h), ms; None: the node has none."""
         try:
-            return self._number(*HEARTBEAT_PRODUCER)
+            return self._pdos.number(*HEARTBEAT_PRODUCER)
         except AccessDenied:
             return None
 
@@ -552,7 +413,7 @@ class CanopenBus:
         wanted = self._heartbeat_wanted(every)
         if every is not None and every != wanted:
             try:
-                self._download(HEARTBEAT_PRODUCER, wanted)
+                self._pdos.download(HEARTBEAT_PRODUCER, wanted)
             except AccessDenied:
                 return
             self._old[HEARTBEAT_PRODUCER] = every

@@ -27,6 +27,7 @@ HEARTBEAT_PRODUCER = 0x1017, 0
 _FLAGS = 3 << 29  # no RTR, 29-bit frame: the drive's own
 _DUMMIES = range(1, 0x20)  # indices of data types: room that nobody uses
 _BYTES = 8
+_FIRST_SENT = 0x1800  # communication parameters from here on are of what the node sends
 _SIGNED, _UNSIGNED = {1: "b", 2: "h", 4: "i", 8: "q"}, {1: "B", 2: "H", 4: "I", 8: "Q"}
 
 Objects = dict[tuple[int, int], int]  # raw values by index and sub-index
@@ -89,6 +90,11 @@ class Pdo:
         self.size = layout.size
         self.pack = lambda values: layout.pack(*values)
         self.unpack = layout.unpack_from
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether it is one that we send, and the node receives (RPDO)."""
+        return self.communication < _FIRST_SENT
 
     def missing_in(self, there: Objects) -> list[str]:
         """What the mapping that is there does not carry of what it is to."""

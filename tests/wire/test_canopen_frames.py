@@ -495,8 +495,8 @@ def test_a_mapping_whose_count_alone_can_be_written_is_left_whole() -> None:
     bus.exchange((0x0F, -250, 70000))
     assert (0x205, "70 11 01 00 0F 00 06 FF") in peer.sent
     bus.put_back({name: old for name, (old, _) in peer.changes.items()})
-    assert bus._number(0x1600, 0) == 3
-    assert bus._number(0x1400, 1) == 0x205
+    assert bus._pdos.number(0x1600, 0) == 3
+    assert bus._pdos.number(0x1400, 1) == 0x205
 
 
 def test_a_mapping_that_carries_what_the_job_sets_is_refused() -> None:

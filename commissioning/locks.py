@@ -98,7 +98,8 @@ def leave_word(name: str, doing: str) -> None:
 def word_left(name: str, within: float) -> str:
     """Who left word within so many s, and of what; '': nobody."""
     owner = _noted(home() / "words" / name)
-    return str(owner) if owner.since is not None and time.time() - owner.since <= within else ""
+    age = time.time() - owner.since if owner.since is not None else -1.0
+    return str(owner) if -1.0 < age <= within else ""  # noted in whole seconds
 
 
 if sys.platform == "linux":

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Literal
 
 from drivers.home import home
-from drivers.link import modbus_wire, open_can
+from drivers.link import check_virtual, modbus_wire, open_can
 from drivers.link_text import Link, parse
 from profiles.errors import AccessDenied, LinkError, NoAnswer, TwoRelayError
 from profiles.schema import LinkDefaults, Patience
@@ -178,6 +178,7 @@ def of_link(text: str, tell: Callable[[str], None]) -> Iterator[Finding]:
     """Why a LINK works or not; raises UsageError. `tell` hears what takes long."""
     link = parse(text)
     if link.scheme == "virtual":
+        check_virtual(link)
         yield Finding("ok", "virtual:// is in this process: nothing to be wrong with")
     elif link.scheme == "canopen":
         yield from _of_canopen(link, tell)

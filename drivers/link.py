@@ -26,6 +26,7 @@ __all__ = [
     "Link",
     "axis_of",
     "check_files_of_others",
+    "check_virtual",
     "host_and_port",
     "is_simulated",
     "modbus_wire",
@@ -159,11 +160,9 @@ def _open_virtual(
     from drivers.virtual.device import Device
     from drivers.virtual.direct import DirectBus
     from drivers.virtual.firmware import Firmware
-    from drivers.virtual.habits import habits_of
     from drivers.virtual.memory import Memory
 
-    virtual = _virtual_axis(link)
-    habits = habits_of(filter(None, link.options.get("habit", "").split(","))).for_bus("virtual")
+    virtual, habits = _virtual_axis(link), _habits(link)
     device = Device(Firmware(virtual, Memory.at(state_file(link))), "step")
     if cycle is not None:
         device.cycle = round(cycle * 1e9)
@@ -178,6 +177,18 @@ def _virtual_axis(link: Link) -> Any:
         link.place.strip("/"),
         {k: v for k, v in link.options.items() if k not in ("state", "habit")},
     )
+
+
+def _habits(link: Link) -> Any:
+    from drivers.virtual.habits import habits_of
+
+    return habits_of(filter(None, link.options.get("habit", "").split(","))).for_bus("virtual")
+
+
+def check_virtual(link: Link) -> None:
+    """Raise UsageError, UnknownName where a virtual link names what is not there."""
+    _virtual_axis(link)
+    _habits(link)
 
 
 def state_file(link: Link) -> Path:

@@ -205,7 +205,7 @@ def _least(holds: Callable[[float], bool], low: float, high: float) -> float | N
 def _up(value: float) -> str:
     """Two digits, no less than the value."""
     step = 10.0 ** (floor(log10(value)) - 1)
-    return f"{ceil(value / step) * step:.2g}"
+    return f"{ceil(value / step) * step:.6g}"
 
 
 def _overdrive(context: Context, known: FirstLook, pace: Pace, d2: float) -> float:

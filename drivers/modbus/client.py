@@ -7,6 +7,7 @@ import logging
 import select
 import socket
 import ssl
+import struct
 import sys
 from collections.abc import Callable, Generator
 from time import perf_counter
@@ -46,7 +47,8 @@ _EXCEPTIONS = {
     11: "gateway target device failed to respond",
 }
 
-_BUSY = 5, 6, 10, 11  # of a drive, and of a gateway that cannot reach it for now
+_ACKNOWLEDGE, _NO_TARGET = 5, 11
+_BUSY = _ACKNOWLEDGE, 6, 10, _NO_TARGET  # of a drive, and of a gateway that cannot reach it for now
 
 Trace = Callable[[bool, bytes], None]
 Packet = Callable[[bool, bytes], bytes]
@@ -54,9 +56,10 @@ Came = Callable[[bytes], bytes]
 
 POST_ANSWER = 0.01  # s that a posted write may hold up the next one
 _CHUNK = 4096
+_QUIET = 0.001  # s before a request outside the cycle
+_TIMES = 1.5  # the longest answer: a watchdog whose three missed cycles outlast it
 _SHORT = 0.1  # s: a cycle's patience, and no service's
 _NO_TIME = 5e-4  # s
-_LARGEST_ECHO = 16  # bytes
 _NEVER_DISCONNECT = 1_000_000  # the receive deadline is ours to judge, not the library's
 
 
@@ -65,11 +68,6 @@ class Kind(NamedTuple):
 
     function: int
     registers: int
-
-    @property
-    def shortest(self) -> int:
-        """Bytes of it on a line, without an exception."""
-        return 5 + 2 * self.registers if self.registers else 8
 
 
 class ExceptionAnswer(AccessDenied):
@@ -91,6 +89,10 @@ class Client:
     trace : called with (sending, bytes) for every packet, once
     longest_answer : s; on a line, whose answers do not say what they answer, nothing is sent after a missed
         one until it has come late, or so long has passed
+
+    Attributes
+    ----------
+    quiet_time : s for which a line is listened to before a request outside the cycle: nothing may come
 
     Raises
     ------
@@ -114,13 +116,10 @@ class Client:
         self._silence = Silence(wire.silence) if wire.silence else None
         self._is_line = isinstance(wire, RtuLine) or wire.rtu
         self._incoming: Incoming = LineIncoming() if self._is_line else MbapIncoming()
+        self.quiet_time = _QUIET
         self._owed = 0  # answers that have not come
         self._owed_until = 0.0
         self._late = b""  # of them
-        self._missed: Kind | None = None  # an answer that may still come, after all
-        self._readable: tuple[int, int] | None = (
-            None  # function and address of a read that was answered
-        )
         self._client: _TcpClient | _SerialClient
         if isinstance(wire, RtuLine):
             self._client = _SerialClient(wire, timeout, self._sent, self._came)
@@ -131,6 +130,15 @@ class Client:
         """Talk to another unit on the same connection from now on."""
         self.where = f"{self._wire} unit {unit}"
         self._unit = unit
+        self._missed: Kind | None = None  # its answer may still come, after all
+        self._readable: tuple[int, int] | None = (
+            None  # function and register of a read that it answered
+        )
+
+    @property
+    def owes(self) -> bool:
+        """Whether an answer may still come late."""
+        return self._owed > 0
 
     @property
     def oddity(self) -> str:
@@ -188,10 +196,10 @@ class Client:
                 f"the connection to {self.where} broke: {error.strerror or error}"
             ) from None
         except ModbusException:
-            if len(self._incoming.heard) < kind.shortest:  # else it has come, and is broken
+            if not self._incoming.is_broken():  # else it has come, and no other will
                 self._owe(kind)
             raise NoAnswer(self._silence_text(patience)) from None
-        except (IndexError, ValueError, KeyError, AttributeError, TypeError) as error:
+        except (IndexError, ValueError, KeyError, AttributeError, TypeError, struct.error) as error:
             # a malformed answer trips the library's decoder
             raise LinkError(
                 f"{self.where} sent an answer that is no Modbus ({type(error).__name__}: {error})"
@@ -201,7 +209,12 @@ class Client:
                 self._silence.begin()
         function = answer.function_code & 0x7F
         if function != kind.function or not _is_about(answer, arguments):
-            raise self._of_before(kind)
+            if self._is_line:
+                raise self._of_before(kind)
+            raise LinkError(
+                f"{self.where} answers a write of register {arguments.get('address', 0):04X}h with something "
+                "else: that is no answer to it; is this drive's profile right?"
+            )
         if answer.isError():
             code = getattr(answer, "exception_code", 0)
             raise ExceptionAnswer(
@@ -222,8 +235,11 @@ class Client:
             )
         if not incoming.heard:
             return f"{self.where} does not answer {within}"
-        if incoming.oddity and len(incoming.heard) <= _LARGEST_ECHO:
-            return f"{self.where} does not answer {within}; all that comes is an echo: {incoming.oddity}"
+        if incoming.is_echo_alone():
+            return (
+                f"{self.where} does not answer {within}: all that comes is what was sent, from an adapter "
+                "that hears itself; is the drive on, A and B not swapped, baud rate, parity and unit right?"
+            )
         if patience < _SHORT:
             return (
                 f"{self.where} has not answered whole {within} ({len(incoming.heard)} bytes came): is the "
@@ -255,20 +271,30 @@ class Client:
         one whose answer cannot be taken for it.
         """
         begun = now = perf_counter()
-        until = min(self._owed_until, begun + patience)
+        until = self._owed_until
+        if in_cycle or not patience:
+            until = min(until, begun + patience)
         is_owed = bool(self._owed)
-        is_stray = self._take_late(0.0) and not is_owed
+        quiet = self.quiet_time if patience and not in_cycle else 0.0
+        self._late += self._incoming.rest
+        is_stray = self._take_late(quiet) and not is_owed
         while self._owed and (now := perf_counter()) < until:
             self._take_late(until - now)
         if not patience:
             return
         if self._owed and now < self._owed_until:
             raise NoAnswer(
-                f"{self.where} still owes an answer: nothing is sent until it has come, or "
-                f"{self._longest:g} s have passed ([link] longest_answer in the profile)"
+                f"{self.where} still owes an answer: nothing is sent until it has come, or {self._longest:g} "
+                "s have passed ([link] longest_answer in the profile: no longer than answers may be late); a "
+                f"--watchdog of {_TIMES * self._longest:.2g} bears it"
             )
         missed = self._missed if self._owed else None
         self._owed, self._late, self._missed = 0, b"", None
+        if is_stray and not in_cycle:
+            raise LinkError(
+                f"{self.where} sent an answer that nobody waited for: do answers come twice, or does another "
+                "master ask on this line? No value can be relied on: find out first"
+            )
         if in_cycle and (is_stray or now - begun > _NO_TIME):
             raise NoAnswer(f"{self.where} answered late: this cycle is missed")
         if missed == kind and self._readable is not None:
@@ -338,7 +364,15 @@ class Client:
             function, send = 16, client.write_registers
             request |= {"values": words}
         kind = Kind(function, 0)
-        self._ask(send, kind, timeout, at_once=at_once, in_cycle=in_cycle, **request)
+        try:
+            self._ask(send, kind, timeout, at_once=at_once, in_cycle=in_cycle, **request)
+        except ExceptionAnswer as error:
+            if error.code == _ACKNOWLEDGE:
+                return  # it is accepted, and in work
+            if error.code == _NO_TARGET and not (at_once or in_cycle):
+                # whether it was done nobody knows: it is looked at, and not sent again
+                raise NoAnswer(str(error)) from None
+            raise
 
     def read_write(
         self,
@@ -577,10 +611,16 @@ class _SerialClient(ModbusSerialClient):
 
 
 def _is_about(answer: ModbusPDU, asked: dict[str, Any]) -> bool:
-    """Whether the answer to a write names the register that was written."""
-    return (
-        "count" in asked
-        or "address" not in asked
-        or answer.isError()
-        or answer.address == asked["address"]
-    )
+    """Whether the answer to a write names what was written: register, value, masks, how many."""
+    if "count" in asked or "address" not in asked or answer.isError():
+        return True
+    told: dict[str, Any] = {"address": answer.address}
+    wanted = {"address": asked["address"]}
+    if "value" in asked:
+        told["value"], wanted["value"] = list(answer.registers), [asked["value"]]
+    elif "values" in asked:
+        told["count"], wanted["count"] = answer.count, len(asked["values"])
+    else:
+        for mask in ("and_mask", "or_mask"):
+            told[mask], wanted[mask] = getattr(answer, mask), asked[mask]
+    return told == wanted

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 
-__all__ = ["Incoming", "LineIncoming", "MbapIncoming", "frame_at"]
+__all__ = ["Incoming", "LineIncoming", "MbapIncoming", "answer_length", "frame_at", "units_in"]
 
 _HEADER = 7  # bytes of MBAP
 _LONGEST = 254  # unit and PDU
 _SAME_AS_ANSWER = 5, 6, 22  # functions whose request is its own answer
+_MOST_HELD = 600  # bytes: an echo and an answer, and some noise
 _SHORTEST = 5  # bytes of a frame with an exception
 _COUNTED, _IDENTIFICATION = (
     (1, 2, 3, 4, 23),
@@ -23,21 +25,30 @@ class Incoming:
     Attributes
     ----------
     heard : bytes since the last request
+    rest : bytes that came with the answer, after it
     oddity : what is not as it is to be, and was borne with; '' so far
     """
 
     oddity = ""
 
     def __init__(self) -> None:
-        self.heard = b""
+        self.heard = self.rest = b""
 
     def ask(self, frame: bytes) -> None:
         """A request is sent."""
-        self.heard = b""
+        self.heard = self.rest = b""
 
     def stranger(self) -> int | None:
         """A unit that answered, where another one was asked; None: none did."""
         raise NotImplementedError
+
+    def is_broken(self) -> bool:
+        """Whether an answer has come in its whole length, and is not sound."""
+        return False
+
+    def is_echo_alone(self) -> bool:
+        """Whether what came is what was sent, and nothing else."""
+        return False
 
     def take(self, data: bytes) -> bytes:
         """What of it the decoder is given; empty: nothing yet."""
@@ -91,50 +102,70 @@ class MbapIncoming(Incoming):
 
 
 class LineIncoming(Incoming):
-    """Modbus RTU, on a serial line or over TCP: whole frames of the unit and function that were asked for.
+    """Modbus RTU, on a serial line or over TCP: whole answers to what was asked.
 
-    A two-wire adapter that hears itself gives back each request before the answer. Whether it does is seen
-    at the first request that is not its own answer. Noise and other units' frames are passed over.
+    A two-wire adapter that hears itself gives back each request before the answer. It is known by the first
+    request that comes back and cannot be an answer; from then on, what equals the request once is its echo.
+    Noise, other units' frames and other functions' are passed over.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self._echoes: bool | None = None  # not known yet
-        self._echo = b""  # that is expected
+        self._echoes = False
+        self._request = b""
+        self._echo_is_due = False
         self._held = b""
-        self._unit, self._function = 0, 0
 
     def ask(self, frame: bytes) -> None:
         """A request is sent."""
         super().ask(frame)
-        self._unit, self._function = frame[0], frame[1]
-        tells = self._echoes is None and self._function not in _SAME_AS_ANSWER
-        self._echo = frame if self._echoes or tells else b""
+        self._request = frame
+        self._echo_is_due = self._echoes or frame[1] not in _SAME_AS_ANSWER
         self._held = b""
 
     def take(self, data: bytes) -> bytes:
         """The answer, once it is whole."""
-        self.heard += data
-        self._held += data
-        if self._echo:
-            if len(self._held) < len(self._echo) and self._echo.startswith(self._held):
-                return b""
-            echo, self._echo = self._echo, b""
-            self._echoes = self._held.startswith(echo)
-            if self._echoes:
-                self.oddity = "the adapter hears itself (its echo is left out)"
-                self._held = self._held[len(echo) :]
-        at = self._held.find(self._unit)
-        while at >= 0:
-            length = frame_at(self._held[at:])
-            if length and self._held[at + 1] & 0x7F == self._function:
-                return self._held[at : at + length]
-            at = self._held.find(self._unit, at + 1)
+        self.heard = (self.heard + data)[-_MOST_HELD:]
+        self._held = (self._held + data)[-_MOST_HELD:]
+        if self._echo_is_due and (at := self._held.find(self._request)) >= 0:
+            self._held = self._held[at + len(self._request) :]
+            self._echo_is_due, self._echoes = False, True
+            self.oddity = "the adapter hears itself (its echo is left out)"
+        if self._echo_is_due and self._request[1] in _SAME_AS_ANSWER:
+            return b""  # an echo cannot be told from the answer that follows it
+        for at in self._candidates():
+            if length := frame_at(self._held[at:]):
+                answer, self.rest = self._held[at : at + length], self._held[at + length :]
+                return answer
         return b""
+
+    def _candidates(self) -> Iterator[int]:
+        """Where an answer to the request may begin."""
+        held, unit, function = self._held, self._request[0], self._request[1]
+        at = held.find(unit)
+        while 0 <= at < len(held) - 2:
+            told = held[at + 1]
+            fits = function not in _COUNTED or held[at + 2] == 2 * self._registers()
+            if told == function | 0x80 or (told == function and fits):
+                yield at
+            at = held.find(unit, at + 1)
+
+    def _registers(self) -> int:
+        return int.from_bytes(self._request[4:6], "big")
+
+    def is_broken(self) -> bool:
+        """Whether an answer has come in its whole length, and is not sound."""
+        return any(
+            0 < answer_length(self._held[at:]) <= len(self._held) - at for at in self._candidates()
+        )
+
+    def is_echo_alone(self) -> bool:
+        """Whether what came is what was sent, and nothing else."""
+        return self._echoes and not self._held
 
     def stranger(self) -> int | None:
         """A unit whose frame came after the last request, and was not asked."""
-        return next((unit for unit in units_in(self.heard) if unit != self._unit), None)
+        return next((unit for unit in units_in(self.heard) if unit != self._request[0]), None)
 
 
 def units_in(data: bytes) -> list[int]:
@@ -153,7 +184,7 @@ def frame_at(data: bytes) -> int:
 
     Its check sum is 0 over a frame with its own (Serial Line V1.02, 6.2.2).
     """
-    length = _length(data)
+    length = answer_length(data)
     if not _SHORTEST <= length <= len(data):
         return 0
     value = 0xFFFF
@@ -162,7 +193,7 @@ def frame_at(data: bytes) -> int:
     return 0 if value else length
 
 
-def _length(data: bytes) -> int:
+def answer_length(data: bytes) -> int:
     """Bytes of an answer that begins so (Application Protocol V1.1b3, 6); 0: not known, or not yet."""
     if len(data) < _SHORTEST:
         return 0

@@ -95,6 +95,10 @@ HABITS: dict[str, Habit] = {
     # on Modbus, its own, its gateway's and its adapter's
     "mute43": Habit("function 43 is never answered", "", _MODBUS),
     "no-target": Habit("every so many-th request gets a gateway's exception 0Bh", "50", _MODBUS),
+    "acknowledge": Habit(
+        "every so many-th write is done, and answered by exception 05", "9", _MODBUS
+    ),
+    "duplicate": Habit("every answer comes twice", "", _MODBUS),
     "other-unit": Habit("answers carry this unit (256: 0)", "256", _MODBUS),
     "echo": Habit("a two-wire adapter that hears itself", "", _MODBUS),
     "fragments": Habit("answers come in pieces of three bytes", "", _MODBUS),
@@ -117,6 +121,7 @@ HABITS: dict[str, Habit] = {
     "own-ids": Habit("its PDOs have COB-IDs of its own, which cannot be changed"),
     "lost-tpdo": Habit("every so many-th TPDO is not sent", "50"),
 }
+_MOST_UNITS = 256
 _UNITS = {"feed", "gear", "old-factor"}
 
 
@@ -172,6 +177,8 @@ def habits_of(texts: Iterable[str]) -> Habits:
         if wrong:
             raise UsageError(f"habit {text}: {wrong}")
         values[name] = value if given else HABITS[name].default
+    if int(values.get("other-unit", "256")) > _MOST_UNITS:
+        raise UsageError("habit other-unit: must be 1 to 256 (which is 0)")
     if len(_UNITS & values.keys()) > 1:
         raise UsageError("habits feed, gear and old-factor exclude each other")
     return Habits(values)

@@ -14,7 +14,7 @@ from drivers.virtual.registers import Layout, RegisterMap
 
 __all__ = ["bent", "framings"]
 
-_BUSY, _NO_TARGET = 6, 11  # exception codes
+_ACKNOWLEDGE, _BUSY, _NO_TARGET = 5, 6, 11  # exception codes
 _WRITES = 6, 16
 _CYCLE = 23
 _PIECE, _PAUSE = 3, 0.001  # bytes, s
@@ -71,28 +71,41 @@ class _Answers:
     def __call__(self, pdu: bytes) -> bytes:
         habits, now = self._habits, time.monotonic()
         self.delay = 0.0
-        if "slow-boot" in habits:
-            self._boots_at = self._boots_at or now + habits.seconds("slow-boot")
-            if now < self._boots_at:
-                return b""
-        if now < self._saved_until:
-            return self._refusal(pdu, _BUSY) if "busy-save" in habits else b""
-        if pdu[0] == READ_IDENTIFICATION and "mute43" in habits:
+        if "slow-boot" in habits and not self._boots_at:
+            self._boots_at = now + habits.seconds("slow-boot")
+        is_mute = pdu[0] == READ_IDENTIFICATION and "mute43" in habits
+        if (
+            now < self._boots_at
+            or is_mute
+            or (now < self._saved_until and "busy-save" not in habits)
+        ):
             return b""
-        self._asked += 1
+        if now < self._saved_until:
+            return self._refusal(pdu, _BUSY)
+        return self._answered(pdu, now)
+
+    def _answered(self, pdu: bytes, now: float) -> bytes:
+        habits, register = self._habits, int.from_bytes(pdu[1:3], "big")
+        self._asked += register < _NOT_OF_THE_DRIVE
         for name, code in (("busy", _BUSY), ("no-target", _NO_TARGET)):
-            if name in habits and self._asked % habits.number(name) == 0:
+            if self._is_turn(name, register):
                 return self._refusal(pdu, code)
         response = self._answer(pdu)
-        every, register = habits.number("lost-answer"), int.from_bytes(pdu[1:3], "big")
-        if every and self._asked % every == 0 and register < _NOT_OF_THE_DRIVE:
+        if self._is_turn("lost-answer", register):
             return b""
+        if pdu[0] in _WRITES and self._is_turn("acknowledge", register):
+            return bytes((pdu[0] | 0x80, _ACKNOWLEDGE))
         if pdu[0] in _WRITES and register == _STORE:
             self.delay = habits.seconds("slow-save") + habits.seconds("silent-save")
             self._saved_until = now + max(
                 habits.seconds("busy-save"), habits.seconds("silent-save")
             )
         return response
+
+    def _is_turn(self, name: str, register: int) -> bool:
+        """Whether it is this request's turn, of the so many-th each, that are the drive's own."""
+        every = self._habits.number(name)
+        return bool(every) and self._asked % every == 0 and register < _NOT_OF_THE_DRIVE
 
     def _refusal(self, pdu: bytes, code: int) -> bytes:
         if pdu[0] == _CYCLE:
@@ -109,7 +122,8 @@ class _HabitualFraming(Framing):
         self._answers = answers
         self._habits = habits
         self._rtu = rtu
-        self._sent = 0
+        self._noises = 0
+        self._echo = b""
         self._random = random.Random(1)  # noqa: S311
 
     @property
@@ -121,8 +135,12 @@ class _HabitualFraming(Framing):
         """The answers to what is complete, one each."""
         answers = [self._bent(answer) for answer in self._plain.feed(data)]
         self.is_closed = self._plain.is_closed
-        echo = [data] if "echo" in self._habits else []
-        return [*echo, *answers]
+        if "duplicate" in self._habits:
+            answers = [answer for one in answers for answer in (one, one)]
+        if "echo" not in self._habits:
+            return answers
+        self._echo = self._noise() + data
+        return [self._echo, *answers]
 
     def silence(self) -> list[bytes]:
         """Nothing more has come for a while."""
@@ -130,7 +148,6 @@ class _HabitualFraming(Framing):
 
     def _bent(self, answer: bytes) -> bytes:
         habits = self._habits
-        self._sent += 1
         if "other-unit" in habits:
             unit = bytes((int(habits.values["other-unit"]) % 256,))
             if self._rtu:
@@ -138,14 +155,18 @@ class _HabitualFraming(Framing):
                 answer = head + crc(head).to_bytes(2, "little")
             else:
                 answer = answer[:6] + unit + answer[7:]
-        every = habits.number("noise")
-        if every and self._sent % every == 0:
-            answer = _NOISE + answer
-        return answer
+        return self._noise() + answer
+
+    def _noise(self) -> bytes:
+        every = self._habits.number("noise")
+        self._noises += 1
+        return _NOISE if every and self._noises % every == 0 else b""
 
     def due(self, answer: bytes) -> list[tuple[float, bytes]]:
         """When which part of an answer goes out, s from now."""
         habits = self._habits
+        if answer is self._echo:
+            return [(0.0, answer)]  # it is heard while it is sent
         wait = self._answers.delay + habits.seconds("slow-answer")
         if "irregular" in habits:
             wait += self._random.uniform(0.0, habits.seconds("irregular"))

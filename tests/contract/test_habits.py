@@ -12,7 +12,7 @@ from tests.conftest import Tworelay
 from tests.habits.cases import CASES, MODBUS, Case, played
 
 _ELSEWHERE = {"guarding": "slcan"}
-_ON_A_LINE = {"echo", "noise", "fragments", "lost-answer"}
+_ON_A_LINE = {"duplicate", "echo", "noise", "fragments", "lost-answer"}
 
 
 def _wire(case: Case) -> str:

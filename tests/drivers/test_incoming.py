@@ -36,6 +36,49 @@ def test_an_echo_is_seen_once_and_left_out_from_then_on(piece: int) -> None:
     assert "hears itself" in line.oddity
 
 
+@pytest.mark.parametrize("noise", [b"\x00", b"\x01", b"\x01\x03", ANSWER])
+def test_a_disturbance_before_an_echo_does_not_make_an_answer_of_it(noise: bytes) -> None:
+    """A read of one register at 03xxh is `01 03 03 ..`: as an answer it would have a count of three bytes."""
+    read = bytes.fromhex("01 03 03 10 00 01 84 4B")
+    line = LineIncoming()
+    line.ask(read)
+    assert line.take(noise + read if noise != ANSWER else read) == b""
+    assert line.is_echo_alone()
+    assert line.take(ANSWER) == ANSWER
+    line.ask(WRITE)
+    assert line.take(noise[:1] + WRITE) == b"", "one of them is the echo"
+    assert line.take(WRITE) == WRITE
+
+
+def test_an_echo_that_begins_later_is_none_of_the_answers() -> None:
+    line = LineIncoming()
+    line.ask(READ)
+    assert line.take(ANSWER) == ANSWER
+    line.ask(READ)
+    assert line.take(READ) == b""
+    line.ask(WRITE)
+    assert line.take(WRITE) == b""
+    assert not line.is_broken()
+
+
+def test_only_as_many_registers_as_were_asked_for_are_an_answer() -> None:
+    line = LineIncoming()
+    line.ask(READ)  # one register
+    assert line.take(bytes.fromhex("01 03 04 12 34 56 78 81 07")) == b""
+    assert line.take(bytes.fromhex("01 03 03 12 34 56 48 F9")) == b""
+    line.ask(READ)
+    assert line.take(ANSWER[:-1] + b"\x00") == b""
+    assert line.is_broken(), "all of it has come"
+
+
+def test_much_nonsense_costs_little_memory() -> None:
+    line = LineIncoming()
+    line.ask(READ)
+    for _ in range(1000):
+        assert line.take(b"\x01\x03\xfa" * 100) == b""
+    assert len(line.heard) < 1000
+
+
 def test_a_write_first_says_nothing_of_an_echo() -> None:
     line = LineIncoming()
     line.ask(WRITE)

@@ -161,6 +161,13 @@ MODBUS = [
     survives("other-unit=255", on=_ON_LINES),
     Case(("other-unit=7",), (4, "unit 7 answers for unit 1")),
     Case(("echo",), on={"modbus-tcp": (4, "")}),
+    Case(("echo", "noise=7", "fragments"), on={"modbus-tcp": (4, "")}),
+    Case(("echo", "slow-answer=0.005"), on={"modbus-tcp": (4, "")}),
+    survives("acknowledge"),
+    Case(
+        ("duplicate",),
+        on=dict.fromkeys(("modbus-rtu", "modbus-rtu-tcp"), (4, "do answers come twice")),
+    ),
     survives("fragments"),
     survives("noise"),
     survives("lost-answer=200"),

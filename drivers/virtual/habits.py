@@ -115,7 +115,7 @@ HABITS: dict[str, Habit] = {
     "mute-reset": Habit("no EMCY says that an error is gone"),
     "warnings": Habit("an EMCY about nothing that matters comes every so many s", "0.5"),
     "chatty": Habit("other nodes on its bus send PDOs, heartbeats, EMCYs"),
-    "fixed-pdo": Habit("its PDO mapping is read-only: 6040h 6071h 607Ah; 603Fh 6041h 6064h"),
+    "fixed-pdo": Habit("its PDO mapping is read-only: 607Ah 6040h 6071h; 6041h 6077h 6064h"),
     "locked-pdo": Habit("PDO parameters are written in pre-operational only"),
     "needs-torque": Habit("faults when it is started without 6071h in its RxPDO"),
     "own-ids": Habit("its PDOs have COB-IDs of its own, which cannot be changed"),

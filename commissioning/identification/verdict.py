@@ -320,9 +320,13 @@ def is_unsigned(measured: Array, command: Array) -> bool:
     ----------
     measured, command : (n,) N.m or N, one a cycle
     """
-    largest = float(np.abs(command).max(initial=0.0))
-    pushes_both_ways = min(-float(command.min()), float(command.max())) > _A_PUSH * largest
-    return pushes_both_ways and float(measured.min()) > -_A_PUSH * largest < float(measured.max())
+    least = _A_PUSH * float(np.abs(command).max(initial=0.0))
+    pushes_both_ways = min(-command.min(initial=0.0), command.max(initial=0.0)) > least
+    return bool(
+        pushes_both_ways
+        and measured.min(initial=0.0) > -least
+        and measured.max(initial=0.0) > least
+    )
 
 
 def torque_gain(measured: Array, command: Array) -> float | None:

@@ -12,6 +12,7 @@ from commissioning.identification.verdict import (
     Units,
     Weight,
     dwell_share,
+    is_unsigned,
     of_modulating,
     of_torque,
     torque_gain,
@@ -93,3 +94,15 @@ def test_the_worst_reason_makes_the_verdict() -> None:
     assert verdict([note]) == "good"
     assert verdict([note, doubt]) == "usable"
     assert verdict([no, note]) == "rejected"
+
+
+def test_a_torque_without_a_sign_is_measured_by_its_size() -> None:
+    """A relay of ±0.5 N.m; AX2000's actual current has no sign."""
+    command = np.where(np.arange(400) % 40 < 20, 0.5, -0.5)
+    assert torque_gain(np.abs(command), command) == pytest.approx(1.0)
+    assert torque_gain(0.8 * np.abs(command), command) == pytest.approx(0.8)
+    assert is_unsigned(np.abs(command), command)
+    for measured in (command, -command, np.zeros(400), np.full(400, np.nan)):
+        assert not is_unsigned(measured, command)
+    assert not is_unsigned(np.ones(400), np.ones(400)), "one way only says nothing"
+    assert not is_unsigned(np.array([]), np.array([]))

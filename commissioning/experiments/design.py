@@ -176,6 +176,21 @@ def _no_room(context: Context, stopping: Stopping, pair: _Pair) -> str:
             ways.append(f"--watchdog {left / _SPARE:.2g}")
         elif not by_watchdog:
             ways.append(f"a shorter --cycle (now {context.cycle * 1000:g} ms)")
+    if not ways:
+        speed = _least(
+            lambda x: (
+                replace(pair, context=replace(context, speed=x)).fit(context.travel, stopping)
+                is not None
+            ),
+            context.speed,
+            _MOST_TIMES * context.speed,
+        )
+        if speed is not None:
+            return (
+                f"a speed of {context.speed:.4g} {p}/s is too small for an oscillation of both tests "
+                f"({pair.d1:.4g} and {pair.d2:.4g} {context.effort_unit}) at a cycle of "
+                f"{context.cycle * 1000:g} ms; --max-speed {_up(_SPARE * speed)} would do"
+            )
     notices = (
         f"the drive's watchdog notices a dead link only after {stopping.watchdog * 1000:g} ms"
         if by_watchdog

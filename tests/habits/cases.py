@@ -49,7 +49,7 @@ class Case:
     options : of identify, more
     keys : of the axis file, more
     job : `identify`, or `apply` after it, where the habit shows only there
-    asks : its profile has it asked who it is; False: not
+    edits : of its profile, old text and new
     on : of another link than most, what is refused there
     """
 
@@ -59,14 +59,14 @@ class Case:
     options: tuple[str, ...] = ()
     keys: dict[str, float] = field(default_factory=dict)
     job: str = "identify"
-    asks: bool = True
+    edits: dict[str, str] = field(default_factory=dict)
     on: dict[str, tuple[int, str]] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
         """For people."""
-        more = () if self.asks else ("not asked",)
-        return " ".join((*self.habits, *self.options, *self.keys, *more))
+        edits = (text.replace(" ", "").replace("\n", " ") for text in self.edits.values())
+        return " ".join((*self.habits, *self.options, *self.keys, *edits))
 
 
 def survives(
@@ -82,10 +82,14 @@ def survives(
 
 # on a serial line another unit's answer is another drive's
 _ON_LINES = dict.fromkeys(("modbus-rtu", "modbus-rtu-tcp"), (4, "answers for unit 1"))
+_NOT_ASKED = {'vendor = "tworelay"\nproduct = "virtual drive"': "asked = false"}
+_FAULT = {"reaction_raw = 3": "reaction_raw = 1"}  # a dead link is a fault, which is reset
 _STORED = "stored in the drive's non-volatile memory"
 # on any bus
 VALUES = [
     survives("slow-reset"),
+    Case(("slow-reset",), edits=_FAULT),
+    Case(("slow-reset=1.5",), edits=_FAULT),
     survives("slow-mode"),
     survives("slow-enable"),
     survives("same-mode"),
@@ -136,6 +140,7 @@ CANOPEN = [
     Case(("guarding",), on={"socketcand": (3, "--without-watchdog")}),
     survives("guarding", options=("--without-watchdog",)),
     survives("mute-reset"),
+    Case(("mute-reset", "refuses-start"), edits=_FAULT),
     survives("warnings"),
     survives("chatty"),
     survives("fixed-pdo"),
@@ -155,7 +160,7 @@ MODBUS = [
     survives("busy-save", job="apply", says=_STORED),
     survives("slow-boot"),
     Case(("mute43",), (3, "does not say who it is")),
-    Case(("mute43",), asks=False),
+    Case(("mute43",), edits=_NOT_ASKED),
     survives("no-target"),
     survives("other-unit", on=_ON_LINES),
     survives("other-unit=255", on=_ON_LINES),
@@ -175,9 +180,13 @@ MODBUS = [
     Case(("low-first",), (3, "'encoder_revolutions' (register 0304h")),
     Case(("off-by-one",), (3, "does not tell its rated torque (register 0300h)")),
     survives("busy", "wrap", "slow-reset", "fragments"),
-    Case(("slow-boot", "mute43", "lost-answer=200"), asks=False),
+    Case(("slow-boot", "mute43", "lost-answer=200"), edits=_NOT_ASKED),
 ]
-CASES = {"canopen": [*VALUES, *CANOPEN], "modbus": [*VALUES, *MODBUS], "virtual": VALUES}
+CASES = {
+    "canopen": [*VALUES, *CANOPEN],
+    "modbus": [*VALUES, *MODBUS],
+    "virtual": [case for case in VALUES if not case.edits],
+}
 _PROFILES = {"canopen": ("cia402", "virtual-canopen"), "modbus": ("virtual-modbus",) * 2}
 
 
@@ -201,12 +210,13 @@ def played(case: Case, wire: str, run: Run, folder: Path) -> str:
 
 def _outcome(case: Case, wire: str, link: str, profile: str, run: Run, folder: Path) -> str:
     path, result = folder / "press.toml", folder / "result.json"
-    if not case.asks:
-        text = source_text(profile)
-        section = text[text.index("[identity]") : text.index("[", text.index("[identity]") + 1)]
-        quiet = text.replace(section, "[identity]\nasked = false\n\n")
-        (folder / "quiet.toml").write_text(quiet.replace(f'"{profile}"', '"quiet"', 1))
-        profile = str(folder / "quiet.toml")
+    if case.edits:
+        text = source_text(profile).replace(f'"{profile}"', '"edited"', 1)
+        for old, new in case.edits.items():
+            assert old in text
+            text = text.replace(old, new)
+        (folder / "edited.toml").write_text(text)
+        profile = str(folder / "edited.toml")
     lines = [f'link = "{link}"', f'profile = "{profile}"', "travel = 20.0"]
     lines += [f"{key} = {value}" for key, value in case.keys.items()]
     path.write_text("\n".join(lines) + "\n")

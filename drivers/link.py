@@ -232,13 +232,17 @@ def _open_modbus(
     client = Client(wire, _unit(link, profile), timeout, trace, defaults.longest_answer)
     try:
         asks = profile is None or profile.identity.asked
-        who: Callable[[], Identity] = partial(identify, client, defaults.patience)
+        patience = 0.0 if to_stop else defaults.patience
+        who: Callable[[], Identity] = partial(identify, client, patience)
         boot = 0.0 if to_stop else (profile.patience if profile else Patience()).boot
         if asks or not to_stop:
             identity = when_up(who if asks else partial(answers, client), boot, timeout)
         else:
             identity = NOBODY
-        chosen = _armed_with(_agree(identity, "modbus", profile), axis)
+        if to_stop and profile is not None and identity == NOBODY:
+            chosen = profile  # whatever it is, it is to be stopped
+        else:
+            chosen = _armed_with(_agree(identity, "modbus", profile), axis)
         return ModbusBus(client, chosen, _pace(link, cycle or chosen.link.cycle)), chosen
     except BaseException:
         client.close()

@@ -57,7 +57,7 @@ def identify(client: Client, patience: float = LinkDefaults().patience) -> Ident
         found = {}
     except NoAnswer:
         answers(client)
-        found = _asked_once_more(client)
+        found = _asked_once_more(client) if patience else {}
     return Identity(
         vendor=found.get(0, ""),
         product=found.get(1, ""),

@@ -144,3 +144,13 @@ def test_latency_is_not_bounded_by_the_watchdog_that_it_recommends(
     assert watchdog is not None, done.stdout
     assert float(cycle[1]) > 0.03
     assert float(watchdog[1]) >= 3 * float(cycle[1])
+
+
+@pytest.mark.parametrize("habit", ["mute43", "busy=2", "slow-boot=0.1"])
+def test_a_drive_that_does_not_say_who_it_is_is_stopped_all_the_same(
+    serve: Serve, tworelay: Tworelay, habit: str
+) -> None:
+    link = serve("bench", *WIRES["modbus-tcp"], "--habit", habit)[0]
+    done = tworelay("stop", link, "--profile", "virtual-modbus")
+    assert done.returncode == 0, done.stderr
+    assert "de-energised" in done.stdout

@@ -23,7 +23,7 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
-from drivers.modbus.incoming import Incoming, LineIncoming, MbapIncoming, frame_at
+from drivers.modbus.incoming import Incoming, LineIncoming, MbapIncoming
 from drivers.modbus.wires import RtuLine, TcpWire, Wire
 from drivers.pace import Silence
 from drivers.serial_port import SerialPort, Stream
@@ -311,12 +311,9 @@ class Client:
             raise LinkLost(f"{self.where} closed the connection (cable, power?)") from None
         if data and self._trace is not None:
             self._trace(False, data)
-        self._late += data
-        is_whole = False
-        while length := frame_at(self._late):
-            self._late, is_whole = self._late[length:], True
-            self._owed = max(self._owed - 1, 0)
-        return is_whole
+        self._late, answers = self._incoming.late_in(self._late + data)
+        self._owed = max(self._owed - answers, 0)
+        return answers > 0
 
     def read(
         self,

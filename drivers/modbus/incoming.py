@@ -42,6 +42,10 @@ class Incoming:
         """A unit that answered, where another one was asked; None: none did."""
         raise NotImplementedError
 
+    def late_in(self, data: bytes) -> tuple[bytes, int]:
+        """What is left of bytes that came later, and how many answers were in them."""
+        return data, 0
+
     def is_broken(self) -> bool:
         """Whether an answer has come in its whole length, and is not sound."""
         return False
@@ -162,6 +166,18 @@ class LineIncoming(Incoming):
     def is_echo_alone(self) -> bool:
         """Whether what came is what was sent, and nothing else."""
         return self._echoes and not self._held
+
+    def late_in(self, data: bytes) -> tuple[bytes, int]:
+        """What is left of bytes that came later, and how many of our unit's answers were in them."""
+        if self._echo_is_due and self._echoes and (at := data.find(self._request)) >= 0:
+            data, self._echo_is_due = data[at + len(self._request) :], False
+        answers, at, left = 0, 0, 0
+        while at + _SHORTEST <= len(data):
+            length = frame_at(data[at:])
+            answers += bool(length) and data[at] == self._request[0]
+            at += length or 1
+            left = at if length else left
+        return data[left:][-_MOST_HELD:], answers
 
     def stranger(self) -> int | None:
         """A unit whose frame came after the last request, and was not asked."""

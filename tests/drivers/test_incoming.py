@@ -132,3 +132,17 @@ def test_another_unit_s_answer_and_another_protocol_are_not() -> None:
     assert tcp.stranger() == 9
     assert tcp.take(adu(7, 1, "03 02 12 34", protocol=5)) == b""
     assert tcp.take(adu(7, 1, "03 02 12 34")) == adu(7, 1, "03 02 12 34")
+
+
+def test_an_answer_that_comes_late_is_found_behind_the_echo_that_came_late_too() -> None:
+    line = LineIncoming()
+    line.ask(READ)
+    assert line.take(READ + ANSWER) == ANSWER
+    line.ask(READ)
+    left, answers = line.late_in(READ[:3])
+    assert answers == 0
+    left, answers = line.late_in(left + READ[3:] + ANSWER[:2])
+    assert answers == 0
+    assert line.late_in(left + ANSWER[2:]) == (b"", 1)
+    assert line.late_in(OTHER) == (b"", 0), "another unit's"
+    assert line.late_in(b"\x00" + ANSWER + b"\x07") == (b"\x07", 1)

@@ -196,7 +196,9 @@ class Client:
                 f"the connection to {self.where} broke: {error.strerror or error}"
             ) from None
         except ModbusException:
-            if not self._incoming.is_broken():  # else it has come, and no other will
+            if (
+                self._is_line and not self._incoming.is_broken()
+            ):  # else it has come, or has a number
                 self._owe(kind)
             raise NoAnswer(self._silence_text(patience)) from None
         except (IndexError, ValueError, KeyError, AttributeError, TypeError, struct.error) as error:

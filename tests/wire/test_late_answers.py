@@ -90,3 +90,13 @@ def test_an_answer_later_than_all_patience_is_known_by_its_length() -> None:
         assert found
         assert all(words == [register, register + 1] for register, words in found)
         client.close()
+
+
+def test_on_tcp_nothing_is_owed_for_answers_have_numbers() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        client = Client(TcpWire("127.0.0.1", listener.getsockname()[1]), 1, 0.02)
+        connection, _ = listener.accept()
+        with connection, pytest.raises(NoAnswer):
+            client.read(3, 0, 1)
+        assert not client.owes
+        client.close()

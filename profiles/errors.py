@@ -24,6 +24,8 @@ Every message is one plain line: what happened, to what, with numbers and units,
 
 from __future__ import annotations
 
+import difflib
+
 __all__ = [
     "AccessDenied",
     "DriveFault",
@@ -79,8 +81,10 @@ class UnknownName(UsageError):
 
     def __init__(self, kind: str, name: str, known: list[str]) -> None:
         self.kind, self.name, self.known = kind, name, known
+        near = difflib.get_close_matches(name, known, 1)
+        hint = f", did you mean '{near[0]}'?" if near else ""
         there = ", ".join(sorted(known)) if known else "none"
-        super().__init__(f"no {kind} named '{name}'; there are: {there}")
+        super().__init__(f"no {kind} named '{name}'{hint or ';'} there are: {there}")
 
 
 class Refused(TwoRelayError):

@@ -420,7 +420,7 @@ class CanopenBus:
         self._silence_allowed = _HEARTBEATS_MISSED * (wanted or _HEARTBEAT_EVERY) / 1000
         if is_guarded or (every is None and wire.can_guard):
             wire.guard()  # which tells the state, too
-        patience = min(self._silence_allowed, _FIRST_BEAT) if every is not None else _FIRST_ANSWER
+        patience = _FIRST_ANSWER if every is None else _FIRST_BEAT
         wire.pump_until(lambda: wire.heartbeat_state is not None, patience)
         if every is None and not is_guarded:
             self._silence_allowed = 0.0

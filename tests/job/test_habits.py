@@ -142,7 +142,7 @@ def test_habits_are_listed(tworelay: Tworelay) -> None:
 
 
 @pytest.mark.parametrize(
-    "habit", ["short-sdo", "unsized", "segmented", "slow-answer=0.35", "slow-boot"]
+    "habit", ["short-sdo", "unsized", "segmented", "slow-answer=0.3", "slow-boot"]
 )
 def test_doctor_finds_a_node_where_identify_does(
     serve: Serve, tworelay: Tworelay, habit: str

@@ -232,9 +232,8 @@ def _open_modbus(
     client = Client(wire, _unit(link, profile), timeout, trace, defaults.longest_answer)
     try:
         asks = profile is None or profile.identity.asked
-        patience = 0.0 if to_stop else defaults.patience
+        patience, boot = _borne(profile, to_stop=to_stop)
         who: Callable[[], Identity] = partial(identify, client, patience)
-        boot = 0.0 if to_stop else (profile.patience if profile else Patience()).boot
         if asks or not to_stop:
             identity = when_up(who if asks else partial(answers, client), boot, timeout)
         else:
@@ -294,17 +293,16 @@ def _open_canopen(
             f"{link.text}: a CANopen link is canopen://INTERFACE/CHANNEL?node=N, for example "
             "canopen://socketcan/can0?node=5"
         )
-    from drivers.canopen.bus import CanopenBus, identify
+    from drivers.canopen.bus import NAMELESS, CanopenBus, identify
     from drivers.canopen.wire import CanWire
 
     timeout = _timeout(link, profile)
     awaits_sync = link.options.get("sync") == "bus"
     wire = CanWire(open_can(link, profile), node, timeout, trace, awaits_sync=awaits_sync)
     try:
-        patience = 0.0 if to_stop else (profile.link if profile else LinkDefaults()).patience
-        boot = 0.0 if to_stop else (profile.patience if profile else Patience()).boot
+        patience, boot = _borne(profile, to_stop=to_stop)
         identity = when_up(lambda: identify(wire, patience), boot, timeout)
-        if to_stop and profile is not None and set(identity.numbers) == {0}:
+        if to_stop and profile is not None and identity == NAMELESS:
             chosen = profile  # it is busy, or has none: whatever it is, it is to be stopped
         else:
             chosen = _armed_with(_agree(identity, "canopen", profile), axis)
@@ -351,6 +349,14 @@ def open_can(link: Link, profile: Profile | None = None) -> Any:
     if bitrate is None:
         bitrate = profile.link.bitrate if profile and profile.link.bitrate else 500_000
     return open_bus(link.interface, link.channel, bitrate, _timeout(link, profile))
+
+
+def _borne(profile: Profile | None, *, to_stop: bool) -> tuple[float, float]:
+    """How long a drive may be busy, and boot, s; a stop asks once."""
+    if to_stop:
+        return 0.0, 0.0
+    link = profile.link if profile else LinkDefaults()
+    return link.patience, (profile.patience if profile else Patience()).boot
 
 
 def _armed_with(profile: Profile, axis: Axis) -> Profile:

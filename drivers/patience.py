@@ -46,5 +46,5 @@ def when_up(action: Callable[[], T], patience: float, silence: float) -> T:
             waited += silence
             if waited > patience - _ROUNDING:
                 if patience:
-                    error.args = (f"{error}; it was asked for {waited:.3g} s",)
+                    error.args = (f"{error} (it was asked for {waited:.3g} s)",)
                 raise

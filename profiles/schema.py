@@ -311,13 +311,6 @@ class Identity(_Strict):
     revision: str
     serial: str
 
-    @property
-    def numbers(self) -> tuple[int, ...]:
-        """Of a CANopen drive: vendor, product, revision, serial."""
-        return tuple(
-            int(text or "0", 16) for text in (self.vendor, self.product, self.revision, self.serial)
-        )
-
     def __str__(self) -> str:
         named = (
             ("", self.vendor),

@@ -61,7 +61,7 @@ class Latency:
 
     @property
     def watchdog(self) -> float:
-        """S of silence that the drive's watchdog has to bear on this link."""
+        """Silence that the drive's watchdog has to bear on this link, s."""
         slowest = float(np.max(self.exchange, initial=0.0))
         needed = max(GUARDS * _SPARE * slowest, CYCLES_A_WATCHDOG * self.cycle)
         return ceil(needed / _WATCHDOG_GRID) * _WATCHDOG_GRID

@@ -45,7 +45,7 @@ from profiles.errors import (
 )
 from profiles.schema import Access, Address, CanopenAddress, Identity, Profile
 
-__all__ = ["CanopenBus", "identify", "sync_period"]
+__all__ = ["NAMELESS", "CanopenBus", "identify", "sync_period"]
 
 MISSED_CYCLES = 3  # consecutive cycles without a sample are a lost link (safety, receive deadline)
 
@@ -69,6 +69,11 @@ _OBJECT = re.compile(r"([0-9A-F]{4})h:([0-9A-F]{2})")
 
 
 T = TypeVar("T")
+
+
+NAMELESS = Identity(
+    vendor="0x00000000", product="0x00000000", revision="0x00000000", serial="0x00000000"
+)
 
 
 def identify(wire: CanWire, patience: float = 0.0) -> Identity:
@@ -124,9 +129,7 @@ class CanopenBus:
         self._posted: dict[tuple[int, int], tuple[Address, int]] = {}
         self._old: Objects = {}  # what was there before `start`
         self._running = False
-        self._state_before: int | None = (
-            None  # of the node, as its heartbeat said it before `start`
-        )
+        self._state_before: int | None = None  # of the node, as it said before `start`
         self._idle: tuple[int, ...] = ()
         watchdog = profile.watchdog
         self._watched_by = watchdog.kind if watchdog.kind in ("heartbeat", "guarding") else ""
@@ -182,11 +185,12 @@ class CanopenBus:
 
     def _packed(self, at: CanopenAddress, raw: int) -> bytes:
         """A raw value, as wide as the drive has it; raises WriteDenied."""
+        layout = struct.Struct("<" + code_of(at, self._widths.get(at)))
         try:
-            return struct.pack("<" + code_of(at, self._widths.get(at)), raw)
+            return layout.pack(raw)
         except struct.error:
             raise WriteDenied(
-                f"{at}: {raw} does not fit into {self._widths.get(at, 0)} bytes, which the drive has for it"
+                f"{at}: {raw} does not fit into {layout.size} bytes, which the drive has for it"
             ) from None
 
     def write(self, address: Address, raw: int) -> None:

@@ -130,10 +130,9 @@ class Client:
         """Talk to another unit on the same connection from now on."""
         self.where = f"{self._wire} unit {unit}"
         self._unit = unit
-        self._missed: Kind | None = None  # its answer may still come, after all
-        self._readable: tuple[int, int] | None = (
-            None  # function and register of a read that it answered
-        )
+        # whose answer may still come, after all; function and register of a read that it has answered
+        self._missed: Kind | None = None
+        self._readable: tuple[int, int] | None = None
 
     @property
     def owes(self) -> bool:
@@ -196,9 +195,8 @@ class Client:
                 f"the connection to {self.where} broke: {error.strerror or error}"
             ) from None
         except ModbusException:
-            if (
-                self._is_line and not self._incoming.is_broken()
-            ):  # else it has come, or has a number
+            has_come = self._incoming.is_broken()
+            if self._is_line and not has_come:
                 self._owe(kind)
             raise NoAnswer(self._silence_text(patience)) from None
         except (IndexError, ValueError, KeyError, AttributeError, TypeError, struct.error) as error:

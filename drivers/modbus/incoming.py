@@ -12,10 +12,8 @@ _LONGEST = 254  # unit and PDU
 _SAME_AS_ANSWER = 5, 6, 22  # functions whose request is its own answer
 _MOST_HELD = 600  # bytes: an echo and an answer, and some noise
 _SHORTEST = 5  # bytes of a frame with an exception
-_COUNTED, _IDENTIFICATION = (
-    (1, 2, 3, 4, 23),
-    43,
-)  # functions; these say at their third byte how many follow
+_COUNTED = 1, 2, 3, 4, 23  # functions whose answer says at its third byte how many follow
+_IDENTIFICATION = 43
 _FIXED = {5: 8, 6: 8, 15: 8, 16: 8, 22: 10}
 
 
@@ -79,7 +77,7 @@ class MbapIncoming(Incoming):
 
     def take(self, data: bytes) -> bytes:
         """The answer, once it is whole."""
-        self.heard += data
+        self.heard = (self.heard + data)[-_MOST_HELD:]
         self._buffer += data
         found = b""
         while len(self._buffer) >= _HEADER:
@@ -171,12 +169,9 @@ class LineIncoming(Incoming):
         """What is left of bytes that came later, and how many of our unit's answers were in them."""
         if self._echo_is_due and self._echoes and (at := data.find(self._request)) >= 0:
             data, self._echo_is_due = data[at + len(self._request) :], False
-        answers, at, left = 0, 0, 0
-        while at + _SHORTEST <= len(data):
-            length = frame_at(data[at:])
-            answers += bool(length) and data[at] == self._request[0]
-            at += length or 1
-            left = at if length else left
+        frames = _frames_in(data)
+        left = sum(frames[-1]) if frames else 0
+        answers = sum(data[at] == self._request[0] for at, _ in frames)
         return data[left:][-_MOST_HELD:], answers
 
     def stranger(self) -> int | None:
@@ -186,11 +181,16 @@ class LineIncoming(Incoming):
 
 def units_in(data: bytes) -> list[int]:
     """Units of the whole answers in what came, in their order; what is none is passed over."""
+    return [data[at] for at, _ in _frames_in(data)]
+
+
+def _frames_in(data: bytes) -> list[tuple[int, int]]:
+    """Where the whole answers in what came begin, and how many bytes each has."""
     found, at = [], 0
     while at + _SHORTEST <= len(data):
         length = frame_at(data[at:])
         if length:
-            found.append(data[at])
+            found.append((at, length))
         at += length or 1
     return found
 

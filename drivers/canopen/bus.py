@@ -77,7 +77,7 @@ NAMELESS = Identity(
 
 
 def identify(wire: CanWire, patience: float = 0.0) -> Identity:
-    """Identity object 1018h; a node that is busy is asked again for `patience` s, and with none has none."""
+    """Identity object 1018h; a node that is busy is asked for `patience` s, without any it is NAMELESS."""
     numbers = []
     for sub in (1, 2, 3, 4):
         try:
@@ -86,6 +86,8 @@ def identify(wire: CanWire, patience: float = 0.0) -> Identity:
         except AccessDenied as error:
             if error.busy and patience:
                 raise
+            if error.busy:
+                return NAMELESS  # half a name would be another drive's
             numbers.append(0)
     vendor, product, revision, serial = (f"0x{number:08X}" for number in numbers)
     return Identity(vendor=vendor, product=product, revision=revision, serial=serial)

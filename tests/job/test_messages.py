@@ -146,11 +146,16 @@ def test_latency_is_not_bounded_by_the_watchdog_that_it_recommends(
     assert float(watchdog[1]) >= 3 * float(cycle[1])
 
 
-@pytest.mark.parametrize("habit", ["mute43", "busy=2", "slow-boot=0.1"])
+@pytest.mark.parametrize(
+    ("wire", "habit"),
+    [("modbus-tcp", "mute43"), ("modbus-tcp", "busy=2"), ("modbus-tcp", "slow-boot=0.1"),
+     ("socketcand", "busy=2"), ("socketcand", "busy=3")],
+)  # fmt: skip
 def test_a_drive_that_does_not_say_who_it_is_is_stopped_all_the_same(
-    serve: Serve, tworelay: Tworelay, habit: str
+    serve: Serve, tworelay: Tworelay, wire: str, habit: str
 ) -> None:
-    link = serve("bench", *WIRES["modbus-tcp"], "--habit", habit)[0]
-    done = tworelay("stop", link, "--profile", "virtual-modbus")
+    link = serve("bench", *WIRES[wire], "--habit", habit)[0]
+    profile = "virtual-modbus" if wire == "modbus-tcp" else "virtual-canopen"
+    done = tworelay("stop", link, "--profile", profile)
     assert done.returncode == 0, done.stderr
     assert "de-energised" in done.stdout

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))
@@ -22,6 +21,7 @@ from scipy.signal import butter, filtfilt  # noqa: E402
 from commissioning.identification.steady import SteadyPoint, fit  # noqa: E402
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
+from commissioning.result.document import RunResult  # noqa: E402
 from commissioning.runs import RunFolder  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
 from commissioning.session.armed import Failure  # noqa: E402
@@ -87,7 +87,7 @@ def truth_of(axis: VirtualAxis) -> dict[str, float]:
 
 def measure(
     link: str, cycle: float, method: str = "auto", travel: float | None = None
-) -> dict[str, Any]:
+) -> RunResult:
     name = parse(link).place
     axis = axis_of(link)
     limits = axis.limits.model_copy(update={"watchdog": max(WATCHDOG, WATCHDOG_CYCLES * cycle)})
@@ -116,38 +116,39 @@ def run(case: tuple[str, float, bool, str]) -> Outcome:
     except Exception as bug:
         outcome.refused = f"BUG {type(bug).__name__}: {bug}"
         return outcome
-    experiment = result["experiment"]
-    outcome.periods, outcome.seconds = experiment["periods"], experiment["duration"]
-    outcome.travel, outcome.verdict = experiment["travel"], result["quality"]["verdict"]
+    watched, coulomb = result.experiment, result.friction.coulomb
+    assert watched is not None
+    assert coulomb is not None
+    outcome.periods, outcome.seconds = round(watched.periods), watched.duration
+    outcome.travel, outcome.verdict = watched.travel, result.quality.verdict or ""
     if method == "IDIM-LS":
         return idim(outcome, result, truth)
     for key, value in truth.items():
-        found = result["friction"][key]["value"]
-        outcome.error[key] = None if found is None or not value else 100 * (found / value - 1)
-    coulomb = result["friction"]["coulomb"]
-    outcome.covered = coulomb["low"] <= truth["coulomb"] <= coulomb["high"]
-    outcome.half_width = 50 * (coulomb["high"] - coulomb["low"]) / coulomb["value"]
+        found = result.friction.quantity(key)
+        outcome.error[key] = None if found is None or not value else 100 * (found.value / value - 1)
+    low, high = coulomb.low or 0.0, coulomb.high or 0.0
+    outcome.covered = low <= truth["coulomb"] <= high
+    outcome.half_width = 50 * (high - low) / coulomb.value
     return outcome
 
 
-def idim(outcome: Outcome, result: dict[str, Any], truth: dict[str, float]) -> Outcome:
+def idim(outcome: Outcome, result: RunResult, truth: dict[str, float]) -> Outcome:
     """Inverse dynamic identification model with zero-phase filtering (Gautier), on auto's own record.
 
     Position by a Butterworth filter forwards and backwards, velocity and acceleration by central
     differences, the same filter on the torque, least squares.
     """
-    folder = RunFolder(Path(os.environ["TWORELAY_HOME"]) / "runs" / result["run"])
+    folder = RunFolder(Path(os.environ["TWORELAY_HOME"]) / "runs" / str(result.run))
     samples = folder.samples()
     assert samples is not None
-    begin = result["experiment"]["spans"][0][0]
-    end = result["experiment"]["spans"][1][1]
-    keep = (samples["time"] >= begin) & (samples["time"] <= end)
+    assert result.experiment is not None
+    first, second = result.experiment.cycles
+    keep = (samples["time"] >= first.begin) & (samples["time"] <= second.end)
     time, y, u = (samples[key][keep] for key in ("time", "position", "command"))
     step = float(np.median(np.diff(time)))
     grid = np.arange(time[0], time[-1], step)
     y, u = np.interp(grid, time, y), np.interp(grid, time, u)
-    period = result["experiment"]["cycles"][0]["period"]
-    cutoff = min(10 / period, 0.4 / step)  # ten times the fundamental
+    cutoff = min(10 / first.period, 0.4 / step)  # ten times the fundamental
     b, a = butter(4, cutoff * 2 * step)
     smooth = filtfilt(b, a, y)
     speed = np.gradient(smooth, step)
@@ -260,13 +261,16 @@ def interval(seed: int) -> tuple[bool, float, float, int, str] | str:
         return str(failure.error)
     except Exception as bug:
         return f"BUG {type(bug).__name__}: {bug} at {link}"
-    coulomb = result["friction"]["coulomb"]
+    coulomb, watched = result.friction.coulomb, result.experiment
+    assert coulomb is not None
+    assert watched is not None
+    low, high = coulomb.low or 0.0, coulomb.high or 0.0
     return (
-        coulomb["low"] <= truth <= coulomb["high"],
-        50 * (coulomb["high"] - coulomb["low"]) / coulomb["value"],
-        100 * (coulomb["value"] / truth - 1),
-        result["experiment"]["periods"],
-        result["quality"]["verdict"],
+        low <= truth <= high,
+        50 * (high - low) / coulomb.value,
+        100 * (coulomb.value / truth - 1),
+        round(watched.periods),
+        result.quality.verdict or "",
     )
 
 

@@ -12,7 +12,6 @@ from collections import deque
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))
@@ -29,6 +28,7 @@ from benchmarks.accuracy import (  # noqa: E402
 )
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
+from commissioning.result.document import POINTS, GainSet, Point  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
 from commissioning.session.armed import Failure  # noqa: E402
 from commissioning.session.desk import Desk, Options  # noqa: E402
@@ -91,8 +91,9 @@ def run(case: tuple[str, float]) -> Outcome:
     except Failure as failure:
         outcome.refused = str(failure.error)
         return outcome
-    outcome.verdict = result["quality"]["verdict"]
-    for key, point in result["critical_point"].items():
+    outcome.verdict = result.quality.verdict or ""
+    for key in POINTS:
+        point = result.critical_point.point(key) if result.critical_point else None
         if point is not None:
             outcome.points[key] = compared(point, virtual)
     try:
@@ -101,25 +102,23 @@ def run(case: tuple[str, float]) -> Outcome:
         outcome.refused = str(error)
         return outcome
     for found in tuned.sets:
-        if found["proposed"]:
+        if found.proposed:
             moved = against_simulation(found, virtual, cycle)
             if moved is not None:
-                outcome.margins.setdefault(found["loop"], []).append(moved)
+                outcome.margins.setdefault(found.loop, []).append(moved)
     return outcome
 
 
-def compared(point: dict[str, Any], virtual: VirtualAxis) -> tuple[float, float, str, bool | None]:
+def compared(point: Point, virtual: VirtualAxis) -> tuple[float, float, str, bool | None]:
     """Errors of gain and phase against the true plant at the point's own frequency, how, covered."""
-    truth = plant_of(virtual, 2 * math.pi / point["period"])
-    gain = 100 * (point["gain"] / abs(truth) - 1)
-    turned = (point["phase_deg"] - math.degrees(cmath.phase(truth)) + 180) % 360 - 180
+    truth = plant_of(virtual, 2 * math.pi / point.period)
+    gain = 100 * (point.gain / abs(truth) - 1)
+    turned = (point.phase_deg - math.degrees(cmath.phase(truth)) + 180) % 360 - 180
     covered = None
-    if point["gain_low"] is not None:
-        covered = (
-            point["gain_low"] <= abs(truth) <= point["gain_high"]
-            and abs(turned) <= point["phase_high_deg"] - point["phase_deg"]
-        )
-    return gain, turned, point["how"], covered
+    if point.gain_low is not None and point.gain_high is not None:
+        turn = (point.phase_high_deg or point.phase_deg) - point.phase_deg
+        covered = point.gain_low <= abs(truth) <= point.gain_high and abs(turned) <= turn
+    return gain, turned, point.how, covered
 
 
 # -- margins ------------------------------------------------------------------------------------------
@@ -132,14 +131,14 @@ def without_friction(virtual: VirtualAxis) -> VirtualAxis:
     )  # fmt: skip
 
 
-def loop_gain(found: dict[str, Any], virtual: VirtualAxis, cycle: float, w: float) -> complex:
+def loop_gain(found: GainSet, virtual: VirtualAxis, cycle: float, w: float) -> complex:
     """L at ω of the closed loop, simulated: a sine is added to the torque, and both sides are read."""
-    gains = {k: math.inf if v is None else v for k, v in found["gains"].items()}
+    gains = {k: math.inf if v is None else v for k, v in found.gains.items()}
     controller = law(
         Cascade(**gains) if "velocity_gain" in gains else Pid(**gains), cycle, math.inf, 0.0
     )
     plant = without_friction(virtual).build()
-    dead = virtual.delay if found["loop"] == "host" else 0.0
+    dead = virtual.delay if found.loop == "host" else 0.0
     cycles = math.ceil(dead / cycle - 1e-9)
     late = dead - (cycles - 1) * cycle if cycles else 0.0
     waiting: deque[float] = deque([0.0] * max(cycles - 1, 0))
@@ -164,10 +163,11 @@ def loop_gain(found: dict[str, Any], virtual: VirtualAxis, cycle: float, w: floa
     return -sums[0] / sums[1]
 
 
-def against_simulation(found: dict[str, Any], virtual: VirtualAxis, cycle: float) -> float | None:
+def against_simulation(found: GainSet, virtual: VirtualAxis, cycle: float) -> float | None:
     """Phase margin predicted less the one of the simulated loop, degrees; None without a crossover."""
-    step = cycle if found["loop"] == "host" else PERIOD
-    low, high = 0.5 * found["crossover"], min(1.8 * found["crossover"], 0.7 * math.pi / step)
+    step = cycle if found.loop == "host" else PERIOD
+    crossover = found.crossover or 0.0
+    low, high = 0.5 * crossover, min(1.8 * crossover, 0.7 * math.pi / step)
     values = {}
     for _ in range(2):  # |L| falls: a secant in logarithms
         for w in (low, high):
@@ -182,7 +182,7 @@ def against_simulation(found: dict[str, Any], virtual: VirtualAxis, cycle: float
     share = a / (a - b)
     turns = [math.degrees(cmath.phase(v)) % -360 for v in ends]
     simulated = 180 + turns[0] + share * (turns[1] - turns[0])
-    return float(found["phase_margin_deg"]) - simulated
+    return (found.phase_margin_deg or 0.0) - simulated
 
 
 # -- tables -------------------------------------------------------------------------------------------

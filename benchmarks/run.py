@@ -23,6 +23,7 @@ from benchmarks.stop_times import stop_times  # noqa: E402
 from benchmarks.units import units  # noqa: E402
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
+from commissioning.result.document import RunResult  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
 from commissioning.session import measurement, methods  # noqa: E402
 from commissioning.session.desk import Desk, Options  # noqa: E402
@@ -31,15 +32,16 @@ from drivers.link import axis_of  # noqa: E402
 
 def measure(
     link: str, cycle: float, travel: float | None = None, method: str = "auto"
-) -> dict[str, Any]:
+) -> RunResult:
     with Journal(Path(os.environ["TWORELAY_HOME"])) as journal, Interruption() as interruption:
         desk = Desk(journal, interruption, lambda text: None, lambda question, word: True)
         options = Options(cycle=cycle, travel=travel, method=method)
         return session.identify(axis_of(link), options, desk)
 
 
-def error_of(result: dict[str, Any], truth: float) -> str:
-    return f"{100 * (result['friction']['coulomb']['value'] / truth - 1):+.2f} %"
+def error_of(result: RunResult, truth: float) -> str:
+    assert result.friction.coulomb is not None
+    return f"{100 * (result.friction.coulomb.value / truth - 1):+.2f} %"
 
 
 def wires() -> list[str]:
@@ -120,7 +122,9 @@ def speed() -> list[str]:
             measure(link, 0.001)
             rates.append(sum(n for _, n in spent) * 0.001 / sum(s for s, _ in spent))
     whole = timed(lambda: measure(link, 0.001))
-    duration = measure(link, 0.001)["experiment"]["duration"]
+    watched = measure(link, 0.001).experiment
+    assert watched is not None
+    duration = watched.duration
     tworelay = str(Path(sys.executable).parent / "tworelay")
     analysis = _analysis(link)
     click_alone, help_time = side_by_side(

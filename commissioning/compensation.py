@@ -2,69 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from commissioning.result.document import Change, Found, Host
 from drivers.scaling import Scaling
 from profiles.errors import WriteFailed
 from profiles.schema import Profile, Unit
 
-__all__ = ["Change", "HostTerms", "Known", "host_terms", "propose"]
+__all__ = ["host_terms", "propose"]
 
 DEFAULT_FRACTION = 0.85  # over-compensation makes an axis hunt
 _LEAST_TRUST = 0.3  # relative half-width above which viscous friction is not written
 
 
-@dataclass(frozen=True, slots=True)
-class Known:
-    """What the compensation is made from; None: not measured.
-
-    Attributes
-    ----------
-    coulomb, offset : N.m or N
-    viscous : N.m.s/rad or N.s/m
-    viscous_uncertainty : relative half-width of its interval
-    """
-
-    coulomb: float
-    offset: float | None
-    viscous: float | None = None
-    viscous_uncertainty: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """One parameter, before and after.
-
-    Attributes
-    ----------
-    parameter : name in the profile
-    old, new : SI at the axis; `new` is what the drive will hold, after rounding
-    old_raw, new_raw : as the drive counts
-    unit, raw_unit : of them
-    wanted : SI, before rounding
-    why : one line
-    """
-
-    parameter: str
-    old: float
-    new: float
-    old_raw: int
-    new_raw: int
-    unit: str
-    raw_unit: str
-    wanted: float
-    why: str
-
-    @property
-    def rounded_by(self) -> float:
-        """What the drive's resolution took or gave, SI."""
-        return self.new - self.wanted
-
-
 def propose(
     profile: Profile,
     scaling: Scaling,
-    known: Known,
+    found: Found,
     old_raw: dict[str, int],
     fraction: float = DEFAULT_FRACTION,
 ) -> list[Change]:
@@ -81,12 +33,15 @@ def propose(
     """
     law = profile.compensation
     share = f"{fraction * 100:g} %"
-    friction = fraction * known.coulomb
     wanted: dict[str, tuple[float, str]] = {}
-    if not law.terms:
+    if not law.terms or found.coulomb is None:
         return []
-    if law.offset is not None and known.offset is not None:
-        wanted[law.offset] = (known.offset, "the whole offset (load, and friction's asymmetry)")
+    friction = fraction * found.coulomb.value
+    if law.offset is not None and found.offset is not None:
+        wanted[law.offset] = (
+            found.offset.value,
+            "the whole offset (load, and friction's asymmetry)",
+        )
     if law.positive is not None and law.negative is not None:
         wanted[law.positive] = (friction, f"{share} of the Coulomb friction")
         wanted[law.negative] = (law.negative_sign * friction, f"{share} of the Coulomb friction")
@@ -94,14 +49,14 @@ def propose(
         wanted[law.gain] = (friction, f"{share} of the Coulomb friction")
     if (
         law.viscous is not None
-        and known.viscous is not None
-        and known.viscous_uncertainty <= _LEAST_TRUST
+        and found.viscous is not None
+        and found.viscous.half_width <= _LEAST_TRUST
     ):
         wanted[law.viscous] = (
-            fraction * max(known.viscous, 0.0),
+            fraction * max(found.viscous.value, 0.0),
             f"{share} of the viscous friction",
         )
-    viscous = fraction * max(known.viscous or 0.0, 0.0)
+    viscous = fraction * max(found.viscous.value, 0.0) if found.viscous else 0.0
     for point in law.table:
         speed = point.at * scaling.step_of(Unit.SPEED)
         wanted[point.speed] = (speed, "speed of a point of the table")
@@ -117,37 +72,17 @@ def propose(
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class HostTerms:
-    """What a master adds in every cycle: offset + coulomb * sign(v), SI at the axis and as the drive counts.
-
-    Attributes
-    ----------
-    parameter, address : of the torque offset
-    offset, coulomb : N.m or N
-    offset_raw, coulomb_raw : steps of the drive, `raw_unit` each
-    """
-
-    parameter: str
-    address: str
-    offset: float
-    coulomb: float
-    unit: str
-    offset_raw: int
-    coulomb_raw: int
-    raw_unit: str
-
-
 def host_terms(
-    profile: Profile, scaling: Scaling, known: Known, fraction: float = DEFAULT_FRACTION
-) -> HostTerms | None:
+    profile: Profile, scaling: Scaling, found: Found, fraction: float = DEFAULT_FRACTION
+) -> Host | None:
     """What the master of a drive without a compensation of its own adds; None: that is not this drive."""
     name = profile.compensation.host
-    if name is None:
+    if name is None or found.coulomb is None:
         return None
     parameter = profile.parameters[name]
-    offset, coulomb = known.offset or 0.0, fraction * known.coulomb
-    return HostTerms(
+    offset = found.offset.value if found.offset else 0.0
+    coulomb = fraction * found.coulomb.value
+    return Host(
         name, str(parameter.address), offset, coulomb, scaling.unit_text(parameter),
         scaling.to_raw(parameter, offset), scaling.to_raw(parameter, coulomb), scaling.raw_unit(parameter),
     )  # fmt: skip
@@ -164,14 +99,15 @@ def _change(
             f"'{name}': the step from {old} to {raw} is larger than the {parameter.largest_step} "
             f"that profile '{profile.name}' allows at once; nothing was written"
         )
+    held = scaling.to_si(parameter, raw)
     return Change(
         name,
-        scaling.to_si(parameter, old),
-        scaling.to_si(parameter, raw),
-        old,
-        raw,
+        held,
         scaling.unit_text(parameter),
+        held - value,
+        raw,
         scaling.raw_unit(parameter),
-        value,
+        scaling.to_si(parameter, old),
+        old,
         why,
     )

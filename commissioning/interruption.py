@@ -14,6 +14,9 @@ from profiles.errors import Interrupted
 __all__ = ["Interruption"]
 
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+_SENDERS = {
+    "SIGINT": "the operator", "SIGBREAK": "the operator", "SIGHUP": "the terminal, which was closed",
+}  # fmt: skip
 
 
 class Interruption:
@@ -55,7 +58,8 @@ class Interruption:
         if self.signal is not None and not self._told:
             self._told = True
             name = signal.Signals(self.signal).name
-            raise Interrupted(f"interrupted by {name}", self.signal)
+            said_by = f"{_SENDERS.get(name, 'the system')} ({name})"
+            raise Interrupted(f"interrupted by {name}", self.signal, said_by)
 
     def hurried(self) -> bool:
         """Whether a second signal came."""

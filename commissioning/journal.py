@@ -6,22 +6,34 @@ cut at any instant leaves either the old value, or an intent that `restore` can 
 
 from __future__ import annotations
 
-import json
+import re
 import sqlite3
 import time
+import unicodedata
 from collections.abc import Generator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, Literal
 
-from commissioning.stored import END_OF_TIME, checked_intents, checked_journal, checked_run
+from commissioning.records import (
+    END_OF_TIME,
+    RESTORED,
+    STORED,
+    STORING,
+    Context,
+    Event,
+    History,
+    Intent,
+    Kind,
+    RunRecord,
+    State,
+    context_text,
+    intent_of,
+    run_of,
+)
+from commissioning.sqlite_reading import read_only
 from profiles.errors import JournalError, Refused, UnknownName, UsageError
 
-__all__ = ["RESTORED", "STORED", "STORING", "Intent", "Journal", "RunRecord"]
-
-Kind = Literal["experiment", "compensation", "gain"]
-State = Literal["intended", "verified", "restored"]
+__all__ = ["RESTORED", "STORED", "STORING", "Intent", "Journal", "Kind", "RunRecord"]
 
 _TRIES, _PAUSE = 200, 0.05  # s: until another process has opened the file
 _SCHEMA_VERSION = 1
@@ -30,7 +42,6 @@ _UNWRITABLE = {  # primary result codes of SQLite: of permissions, of others, an
     sqlite3.SQLITE_READONLY, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL, sqlite3.SQLITE_CANTOPEN,
 }  # fmt: skip
 _RUNS_A_SECOND = 1000  # of one axis, at most
-STORING, STORED, RESTORED = "storing", "stored", "restored and stored"
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS runs (
     id TEXT PRIMARY KEY, created REAL NOT NULL, axis TEXT NOT NULL, link TEXT NOT NULL,
@@ -48,77 +59,70 @@ CREATE TABLE IF NOT EXISTS events (
 );
 CREATE TABLE IF NOT EXISTS adopted (run TEXT PRIMARY KEY REFERENCES runs(id), at REAL NOT NULL);
 CREATE INDEX IF NOT EXISTS intents_of_run ON intents(run);
-CREATE VIEW IF NOT EXISTS own_runs AS SELECT * FROM runs WHERE id NOT IN (SELECT run FROM adopted);
+"""
+_TABLE = re.compile(r"CREATE TABLE IF NOT EXISTS (\w+)")
+# this connection's own: the runs of this computer, in their order; an adopted one was measured elsewhere
+_VIEWS = """
+CREATE TEMP VIEW own AS
+    SELECT rowid AS number, * FROM runs WHERE id NOT IN (SELECT run FROM adopted);
+CREATE TEMP VIEW of_drive AS
+    SELECT rowid AS number, *, CASE WHEN serial IN ('', '0x00000000') THEN link ELSE '' END AS nameless
+    FROM runs;
 """
 
 
-@dataclass(frozen=True, slots=True)
-class RunRecord:
-    """One run. `context` is what is needed to connect again: axis, profile, limits.
+class Journal:
+    """The journal of this machine; raises JournalError when it cannot be read or written.
 
-    `adopted` : it was measured on another computer, and taken in here
+    `reading` : nothing is written, not even where there is no journal yet
     """
 
-    id: str
-    created: float
-    axis: str
-    link: str
-    profile: str
-    profile_hash: str
-    serial: str
-    status: str
-    context: dict[str, Any]
-    adopted: bool = False
-
-    @classmethod
-    def exported(cls, run: dict[str, Any]) -> RunRecord:
-        """The checked `run` of an exported journal."""
-        return cls(**{name: run[name] for name in _FIELDS}, adopted=True)
-
-
-_FIELDS = (  # of a run, as its table has them
-    "id", "created", "axis", "link", "profile", "profile_hash", "serial", "status", "context",
-)  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Intent:
-    """One parameter write: raw values before and after, and how far it got."""
-
-    seq: int
-    run: str
-    kind: Kind
-    parameter: str
-    old: int
-    new: int
-    state: State
-
-
-class Journal:
-    """The journal of this machine; raises JournalError when it cannot be read or written."""
-
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, reading: bool = False) -> None:
         self.folder = folder
+        self._clean_up = ExitStack()
         path = folder / "journal.sqlite"
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            self._db = sqlite3.connect(path, timeout=10, isolation_level=None)
+            if reading:
+                self._db = self._read_only(path)
+            else:
+                folder.mkdir(parents=True, exist_ok=True)
+                self._db = sqlite3.connect(path, timeout=10, isolation_level=None)
         except (OSError, sqlite3.Error) as error:
-            raise JournalError(_unwritable(folder, error)) from None
-        with self._errors():
+            self._clean_up.close()
+            what = f"the journal in {folder} cannot be read ({error})"
+            raise JournalError(what if reading else _unwritable(folder, error)) from None
+        self._clean_up.callback(self._db.close)
+        with ExitStack() as undone, self._errors():
+            undone.push(self._clean_up.pop_all())
             self._db.row_factory = sqlite3.Row
-            self._write_ahead()
-            self._db.execute("PRAGMA synchronous=FULL")
-            self._db.execute("PRAGMA foreign_keys=ON")
             version = self._db.execute("PRAGMA user_version").fetchone()[0]
             if version > _SCHEMA_VERSION:
                 raise JournalError(
                     f"{path} was written by a newer tworelay (schema {version}); update tworelay"
                 )
-            self._db.executescript(_SCHEMA)
-            self._db.execute(f"PRAGMA user_version={_SCHEMA_VERSION}")
-            self._db.execute("BEGIN IMMEDIATE")  # a journal that cannot be written shows now
-            self._db.execute("ROLLBACK")
+            if not reading:
+                self._prepare()
+            self._db.executescript(_VIEWS)
+            self._clean_up = undone.pop_all()
+
+    def _read_only(self, path: Path) -> sqlite3.Connection:
+        """The journal as it is, or an empty one; raises OSError, sqlite3.Error."""
+        db = read_only(path, self._clean_up) if path.exists() else sqlite3.connect(":memory:")
+        there = {row[0] for row in db.execute("SELECT name FROM sqlite_master")}
+        for statement in _SCHEMA.split(";"):  # of an older version, or none
+            name = _TABLE.search(statement)
+            if name is not None and name[1] not in there:
+                db.execute(statement.replace("CREATE TABLE", "CREATE TEMP TABLE"))
+        return db
+
+    def _prepare(self) -> None:
+        self._write_ahead()
+        self._db.execute("PRAGMA synchronous=FULL")
+        self._db.execute("PRAGMA foreign_keys=ON")
+        self._db.executescript(_SCHEMA)
+        self._db.execute(f"PRAGMA user_version={_SCHEMA_VERSION}")
+        self._db.execute("BEGIN IMMEDIATE")  # a journal that cannot be written shows now
+        self._db.execute("ROLLBACK")
 
     def _write_ahead(self) -> None:
         """WAL; the switch does not wait for another process that opens the file at this moment."""
@@ -135,7 +139,7 @@ class Journal:
 
     def close(self) -> None:
         """Close the file."""
-        self._db.close()
+        self._clean_up.close()
 
     def __enter__(self) -> Journal:
         return self
@@ -168,9 +172,9 @@ class Journal:
         profile: str,
         profile_hash: str,
         serial: str,
-        context: dict[str, Any],
+        context: Context,
     ) -> str:
-        """Open a run; return its id, which sorts by time."""
+        """Open a run; return its id, which begins with the time by this computer's clock."""
         with self._errors():
             now = time.time()
             if not 0 <= now < END_OF_TIME:
@@ -180,13 +184,13 @@ class Journal:
                 )
             stamp = time.strftime("%Y%m%d-%H%M%S", time.localtime(now))
             for n in range(_RUNS_A_SECOND):
-                run = f"{stamp}-{axis}" + (f"-{n}" if n else "")
+                run = f"{stamp}-{_slug(axis)}" + (f"-{n}" if n else "")
                 try:
                     self._db.execute(
                         "INSERT INTO runs VALUES (?,?,?,?,?,?,?,?,?)",
                         (
                             run, now, axis, link, profile, profile_hash, serial, "running",
-                            json.dumps(context),
+                            context_text(context),
                         ),
                     )  # fmt: skip
                 except sqlite3.IntegrityError:
@@ -204,27 +208,24 @@ class Journal:
         with self._errors():
             if run == "last":
                 row = self._db.execute(
-                    "SELECT * FROM own_runs ORDER BY created DESC, id DESC LIMIT 1"
+                    "SELECT * FROM runs WHERE id = (SELECT id FROM own ORDER BY number DESC LIMIT 1)"
                 ).fetchone()
             else:
                 row = self._db.execute("SELECT * FROM runs WHERE id=?", (run,)).fetchone()
             if row is None and run == "last":
                 raise UnknownName("run of this computer", run, [])
             if row is None:
-                recent = self._db.execute("SELECT id FROM runs ORDER BY created DESC LIMIT 5")
+                recent = self._db.execute("SELECT id FROM runs ORDER BY rowid DESC LIMIT 5")
                 raise UnknownName("run", run, [found["id"] for found in recent])
             return self._record(row)
 
     def _record(self, row: sqlite3.Row) -> RunRecord:
         """A row as it must be; raises JournalError."""
-        run = dict(row)
-        adopted = self._db.execute("SELECT 1 FROM adopted WHERE run=?", (run["id"],)).fetchone()
+        adopted = self._db.execute("SELECT 1 FROM adopted WHERE run=?", (row["id"],)).fetchone()
         try:
-            run["context"] = json.loads(run["context"])
-            checked_run(run, f"run {run['id']}")
+            return run_of(dict(row), adopted=adopted is not None)
         except (ValueError, TypeError, RecursionError, UsageError) as error:
             raise self._damaged(error) from None
-        return RunRecord(**run, adopted=adopted is not None)
 
     def _damaged(self, error: Exception) -> JournalError:
         return JournalError(
@@ -257,9 +258,9 @@ class Journal:
         """How often the drive of `run` has stored, by this journal."""
         with self._errors():
             row = self._db.execute(
-                "SELECT COUNT(*) FROM events JOIN runs ON events.run = runs.id "
-                "JOIN runs AS this ON this.id=? WHERE events.text IN (?,?) AND runs.serial = this.serial "
-                "AND (runs.serial NOT IN ('', '0x00000000') OR runs.link = this.link)",
+                "SELECT COUNT(*) FROM events JOIN of_drive ON events.run = of_drive.id "
+                "JOIN of_drive AS this ON this.id=? WHERE events.text IN (?,?) "
+                "AND of_drive.serial = this.serial AND of_drive.nameless = this.nameless",
                 (run, STORED, RESTORED),
             ).fetchone()
         return int(row[0])
@@ -299,107 +300,113 @@ class Journal:
                 "ORDER BY seq",
                 (run,),
             ).fetchall()
-        tree = [dict(row) for row in rows]
         try:
-            checked_intents(tree, f"run {run}")
+            found = [intent_of(dict(row)) for row in rows]
         except UsageError as error:
             raise self._damaged(error) from None
-        found = [Intent(**row) for row in tree]
-        return [i for i in found if i.state in ("intended", "verified")] if open_only else found
+        return [i for i in found if i.is_open] if open_only else found
 
     def open_runs(self, *, adopted: bool = False) -> list[str]:
-        """Runs with something to restore, the latest first; of this computer, unless `adopted`, too."""
+        """Runs with something to restore, the last to write first; of this computer, or also `adopted`."""
         with self._errors():
             rows = self._db.execute(
-                "SELECT DISTINCT runs.id, runs.created FROM runs "
-                "JOIN intents ON intents.run = runs.id WHERE intents.state <> 'restored' "
-                "AND (? OR runs.id IN (SELECT id FROM own_runs)) "
-                "ORDER BY runs.created DESC, runs.id DESC",
+                "SELECT runs.id FROM runs JOIN intents ON intents.run = runs.id "
+                "WHERE (? OR runs.id IN (SELECT id FROM own)) GROUP BY runs.id "
+                "HAVING SUM(intents.state <> 'restored') ORDER BY MAX(intents.seq) DESC",
                 (adopted,),
             ).fetchall()
         return [str(row["id"]) for row in rows]
+
+    def runs(self) -> list[RunRecord]:
+        """All runs, in the order in which they came."""
+        with self._errors():
+            rows = self._db.execute("SELECT * FROM runs ORDER BY rowid").fetchall()
+            return [self._record(row) for row in rows]
 
     def runs_before(self, instant: float) -> list[RunRecord]:
         """Runs that began before an instant (s since 1970), the oldest first."""
         with self._errors():
             rows = self._db.execute(
-                "SELECT * FROM runs WHERE created < ? ORDER BY created, id", (instant,)
+                "SELECT * FROM runs WHERE created < ? ORDER BY rowid", (instant,)
             ).fetchall()
             return [self._record(row) for row in rows]
 
     def last_written(self) -> str | None:
-        """The latest run that wrote anything to a drive."""
+        """The run of this computer that wrote to a drive last."""
         with self._errors():
             row = self._db.execute(
-                "SELECT own.id FROM own_runs AS own JOIN intents ON intents.run = own.id "
-                "ORDER BY own.created DESC, own.id DESC LIMIT 1"
+                "SELECT own.id FROM own JOIN intents ON intents.run = own.id "
+                "ORDER BY intents.seq DESC LIMIT 1"
             ).fetchone()
         return None if row is None else str(row["id"])
 
-    def unfinished(self, serial: str) -> list[str]:
-        """Runs on the drive `serial` whose experiment settings were never put back."""
+    def unfinished(self, serial: str, link: str) -> list[str]:
+        """Runs on a drive whose experiment settings were never put back, in their order.
+
+        A drive that tells no serial number is the one on `link`.
+        """
         with self._errors():
             rows = self._db.execute(
-                "SELECT DISTINCT runs.id FROM runs JOIN intents ON intents.run = runs.id "
-                "WHERE intents.kind='experiment' AND intents.state <> 'restored' "
-                "AND runs.serial=? ORDER BY runs.created",
-                (serial,),
+                "SELECT DISTINCT of_drive.id, number FROM of_drive JOIN intents "
+                "ON intents.run = of_drive.id WHERE intents.kind='experiment' "
+                "AND intents.state <> 'restored' AND serial=? AND nameless IN ('', ?) ORDER BY number",
+                (serial, link),
+            ).fetchall()
+        return [str(row["id"]) for row in rows]
+
+    def unfinished_on(self, link: str) -> list[str]:
+        """Runs on a link whose experiment settings were never put back, in their order."""
+        with self._errors():
+            rows = self._db.execute(
+                "SELECT DISTINCT own.id, number FROM own JOIN intents ON intents.run = own.id "
+                "WHERE intents.kind='experiment' AND intents.state <> 'restored' AND link=? "
+                "ORDER BY number",
+                (link,),
             ).fetchall()
         return [str(row["id"]) for row in rows]
 
     # -- moving a run to another machine -----------------------------------------------------------
 
-    def export(self, run: str) -> dict[str, Any]:
-        """Everything that the journal knows of a run, for JSON."""
+    def history(self, run: str) -> History:
+        """Everything that the journal knows of a run."""
         record = self.run(run)
         with self._errors():
-            events = self._db.execute(
+            rows = self._db.execute(
                 "SELECT at, text FROM events WHERE run=? ORDER BY seq", (record.id,)
             ).fetchall()
-        tree = {
-            "schema": "tworelay.journal/1",
-            "run": {name: getattr(record, name) for name in _FIELDS},
-            "intents": [
-                {name: getattr(i, name) for name in ("kind", "parameter", "old", "new", "state")}
-                for i in self.intents(record.id)
-            ],
-            "events": [dict(row) for row in events],
-        }
-        try:
-            return checked_journal(tree, f"run {record.id}")
-        except UsageError as error:
-            raise self._damaged(error) from None
+        events = tuple(Event(float(row["at"]), str(row["text"])) for row in rows)
+        return History(record, tuple(self.intents(record.id)), events)
 
-    def adopt(self, tree: Any, origin: str) -> str:
-        """Take in the journal of a run of another computer, unless it is known; returns its id.
-
-        Raises UsageError where it is none.
-        """
-        tree = checked_journal(tree, origin)
-        run = tree["run"]
-        if self.knows(run["id"]):
-            return str(run["id"])
-        of_intent = ("kind", "parameter", "old", "new", "state")
+    def adopt(self, history: History) -> str:
+        """Take in the journal of a run of another computer, unless it is known; returns its id."""
+        run = history.run
+        if self.knows(run.id):
+            return run.id
+        now = time.time()
         with self._errors():
             self._db.execute("BEGIN IMMEDIATE")
             self._db.execute(
                 "INSERT INTO runs VALUES (?,?,?,?,?,?,?,?,?)",
-                tuple(
-                    run[name] if name != "context" else json.dumps(run[name]) for name in _FIELDS
+                (
+                    run.id, run.created, run.axis, run.link, run.profile, run.profile_hash, run.serial,
+                    run.status, context_text(run.context),
                 ),
-            )
-            self._db.execute("INSERT INTO adopted VALUES (?,?)", (run["id"], time.time()))
+            )  # fmt: skip
+            self._db.execute("INSERT INTO adopted VALUES (?,?)", (run.id, now))
             self._db.executemany(
                 "INSERT INTO intents(run, kind, parameter, old, new, state, at) "
                 "VALUES (?,?,?,?,?,?,?)",
-                [(run["id"], *(i[n] for n in of_intent), time.time()) for i in tree["intents"]],
+                [
+                    (run.id, i.kind, i.parameter, i.old, i.new, i.state, now)
+                    for i in history.intents
+                ],
             )
             self._db.executemany(
                 "INSERT INTO events(run, at, text) VALUES (?,?,?)",
-                [(run["id"], event["at"], event["text"]) for event in tree["events"]],
+                [(run.id, event.at, event.text) for event in history.events],
             )
             self._db.execute("COMMIT")
-        return str(run["id"])
+        return run.id
 
     def knows(self, run: str) -> bool:
         """Whether there is a run of this id, as file names go: in capitals or not."""
@@ -408,6 +415,16 @@ class Journal:
                 "SELECT 1 FROM runs WHERE id=? COLLATE NOCASE", (run,)
             ).fetchone()
         return found is not None
+
+
+_LONGEST_SLUG = 40  # characters
+
+
+def _slug(name: str) -> str:
+    """A name of an axis as a part of a file's name: letters, digits, dots and dashes of ASCII."""
+    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+    slug = re.sub(r"[^A-Za-z0-9._-]+", "-", plain)[:_LONGEST_SLUG].strip("._-")
+    return slug or "axis"
 
 
 def _unwritable(folder: Path, error: Exception) -> str:

@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 __all__ = ["is_alive", "start", "this_process"]
 
@@ -14,8 +14,15 @@ _SAME = 2.0  # s; a number that was given again is further off
 _LARGEST = 2**31
 
 
-def this_process() -> dict[str, Any]:
-    """What `is_alive` knows this process by."""
+class Process(TypedDict):
+    """What `is_alive` knows a process by."""
+
+    pid: int
+    started: float
+
+
+def this_process() -> Process:
+    """What the present process is known by."""
     return {"pid": os.getpid(), "started": _started(os.getpid())}
 
 

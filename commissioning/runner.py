@@ -91,7 +91,7 @@ def run(
                     feed()
                     record(sample)
                     if not sample.status.enabled:
-                        raise DriveFault(_fault_text(drive))
+                        raise _left_operation(drive)
                     check(sample)
                     if interruption.signal is not None:
                         interruption.check()
@@ -110,7 +110,7 @@ def run(
             plan.close()
             acted = guardian.acted()
             if acted and not isinstance(error, Interrupted):
-                verified(report, fault := DriveFault(acted))
+                verified(report, fault := DriveFault(acted, "the guardian"))
                 raise fault from error
             verified(report, error)
             raise
@@ -127,21 +127,28 @@ def verified(report: StopReport, error: BaseException | None) -> None:
         raise DriveFault(str(report))
 
 
-def _fault_text(drive: Drive) -> str:
+def _left_operation(drive: Drive) -> DriveFault:
     """Why the drive is no longer enabled."""
     if stopper := stopped_by(drive.link, _LATELY):
-        return f"the drive was stopped from outside, by {stopper}: the job ends here"
+        return DriveFault(
+            f"the drive was stopped from outside, by {stopper}: the job ends here",
+            f"another tworelay ({stopper})",
+        )
     try:
         state = drive.status_text()
         if not drive.in_fault():
-            return (
+            return DriveFault(
                 f"the drive left operation and is in no fault (it says: {state}; a code may be older): was "
                 "it disabled from outside: 'tworelay stop', another master, STO, an enable input or a limit "
-                "switch?"
+                "switch?",
+                "somebody outside of tworelay, or the drive",
             )
     except TwoRelayError as error:
-        return f"the drive left operation and cannot be asked why ({error})"
-    return f"the drive stopped by itself: {state}; remove the cause, then try again"
+        return DriveFault(f"the drive left operation and cannot be asked why ({error})")
+    return DriveFault(
+        f"the drive stopped by itself: {state}; remove the cause, then try again",
+        f"the drive ({state})",
+    )
 
 
 @contextmanager

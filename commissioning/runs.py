@@ -3,28 +3,51 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import json
 import math
 import re
 import zipfile
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from commissioning.journal import Journal, RunRecord
+from commissioning.journal import STORED, STORING, Journal
+from commissioning.records import History, history_of, history_tree, json_file
+from commissioning.result.codec import Curves, decode, text_of
+from commissioning.result.document import (
+    AxisState,
+    Change,
+    CompensationState,
+    DriveState,
+    Ending,
+    RunResult,
+    SettingsState,
+    Units,
+    Written,
+)
 from commissioning.runner import Recorder
-from commissioning.stored import checked_journal, checked_result, json_file
 from drivers.sample import Sample
 from profiles.dcf import dcf
 from profiles.errors import JournalError, UsageError
 from profiles.files import contents, replace
 from profiles.library import load_profile
 
-__all__ = ["RunFolder", "Samples", "resolve"]
+__all__ = [
+    "RunFolder",
+    "Samples",
+    "as_of",
+    "drive_state",
+    "left_in_drive",
+    "resolve",
+    "settings_state",
+]
+
+Array = NDArray[np.float64]
 
 _COLUMNS = ("time", "position", "torque", "command", "sent", "lateness", "missed")
 _UNREADABLE = (
@@ -35,25 +58,36 @@ _UNREADABLE = (
 _FOREIGN = "run.json", "profile.toml", "samples.npz"
 _FILES = *_FOREIGN, "report.html", "loci.svg", "loci.png", "loci.pdf"
 _LARGEST_SAMPLES = 500_000_000  # bytes
+_CURVE = "curve."
 
 
 class Samples:
-    """Recorded samples as columns, and the phases of the run.
+    """Recorded samples as columns, the phases of the run, and curves that pictures of it need.
 
-    Each column is an (n,) array in the unit of Sample; time counts from the first sample.
+    Each column is an (n,) array in the unit of Sample; time counts from the first sample. A curve is (k, n):
+    `verify.<step>` time, command, error; `step.<loop>.<rule>.<source>` time, position.
     """
 
     def __init__(
-        self, columns: dict[str, NDArray[np.float64]], phases: list[tuple[int, str]]
+        self,
+        columns: dict[str, Array],
+        phases: list[tuple[int, str]],
+        curves: dict[str, Array] | None = None,
     ) -> None:
         self.columns = columns
         self.phases = phases
+        self.curves = curves or {}
 
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
+    def __getitem__(self, name: str) -> Array:
+        return self.columns[name]
+
+    def __getattr__(self, name: str) -> Array:
+        if name not in _COLUMNS:
+            raise AttributeError(name)
         return self.columns[name]
 
     def __len__(self) -> int:
-        return len(self.columns["time"])
+        return len(self.time)
 
     @classmethod
     def of(cls, recorder: Recorder) -> Samples:
@@ -66,6 +100,11 @@ class Samples:
             columns["sent"] -= begin
         return cls(columns, list(recorder.phases))
 
+    @classmethod
+    def none(cls) -> Samples:
+        """Of a run without a record."""
+        return cls.of(Recorder())
+
 
 class RunFolder:
     """The folder of one run under TWORELAY_HOME, or an exported one. No link in it is followed.
@@ -73,7 +112,7 @@ class RunFolder:
     `exported` : the journal that lies in an exported one
     """
 
-    def __init__(self, path: Path, exported: dict[str, Any] | None = None) -> None:
+    def __init__(self, path: Path, exported: History | None = None) -> None:
         self.path = path
         self.exported = exported
 
@@ -87,45 +126,55 @@ class RunFolder:
             raise UsageError(f"{path}: is a link, and none is followed here")
         return cls(path)
 
-    def history(self, journal: Journal, run: str) -> dict[str, Any]:
+    def history(self, journal: Journal, run: str) -> History:
         """What the journal knows of the run: this computer's, or for an exported one the one beside it."""
-        return journal.export(run) if self.exported is None else self.exported
+        return journal.history(run) if self.exported is None else self.exported
 
-    def record(self, journal: Journal, run: str) -> RunRecord:
-        """The run's row of the journal, likewise."""
-        if self.exported is None:
-            return journal.run(run)
-        return RunRecord.exported(self.exported["run"])
-
-    def save(self, result: dict[str, Any], samples: Samples | None, profile: str | None) -> None:
-        """Write what is given; raises JournalError."""
+    def save(
+        self,
+        result: RunResult,
+        samples: Samples | None = None,
+        profile: str | None = None,
+        curves: Mapping[str, Array] | None = None,
+    ) -> None:
+        """Write what is given; curves of one kind replace those of that kind. Raises JournalError."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             if profile is not None:
                 replace(self.path / "profile.toml", profile.encode())
-            text = json.dumps(result, indent=1, allow_nan=False)
-            replace(self.path / "run.json", text.encode())
+            _, before = self._read(missing=True)
+            if samples is None and (curves or before):
+                samples = self.samples() or Samples.none()
             if samples is not None:
-                archive = io.BytesIO()
-                phases = np.array(json.dumps(samples.phases))
-                np.savez(archive, allow_pickle=False, phases=phases, **samples.columns)
-                replace(self.path / "samples.npz", archive.getvalue())
+                samples.curves = _merged(samples.curves, curves or {})
+                replace(self.path / "samples.npz", _archive(samples))
+            replace(self.path / "run.json", text_of(result).encode())
         except OSError as error:
             raise JournalError(f"cannot write the run to {self.path}: {error}") from None
 
-    def result(self) -> dict[str, Any]:
-        """The result JSON; raises UsageError."""
+    def _read(self, *, missing: bool = False) -> tuple[RunResult | None, Curves]:
+        """The result, and what older versions had of curves in it; raises UsageError."""
         path = self.path / "run.json"
         try:
-            return checked_result(json_file(path), str(path))
+            return decode(json_file(path), str(path))
         except FileNotFoundError:
+            if missing:
+                return None, {}
             raise UsageError(f"{self.path} holds no run (run.json is missing)") from None
 
+    def result(self, history: History | None = None) -> RunResult:
+        """The result, and with the run's `history` what it has left in the drive; raises UsageError."""
+        found, _ = self._read()
+        assert found is not None
+        return found if history is None else as_of(found, history)
+
     def samples(self) -> Samples | None:
-        """Recorded samples, or None where the run has none."""
+        """Recorded samples and curves, or None where the run has none; raises UsageError."""
+        _, old = self._read(missing=True)
+        curves = {name: np.array(columns) for name, columns in old.items()}
         path = self.path / "samples.npz"
         if not path.exists() and not path.is_symlink():
-            return None
+            return Samples(Samples.none().columns, [], curves) if curves else None
         try:
             data = io.BytesIO(contents(path, _LARGEST_SAMPLES, links=False))
             with zipfile.ZipFile(data) as packed:
@@ -141,10 +190,16 @@ class RunFolder:
                     for n, text in json.loads(str(archive["phases"]))
                     if int(n) >= 0
                 ]
+                curves |= {
+                    name.removeprefix(_CURVE): np.asarray(archive[name], float)
+                    for name in archive.files
+                    if name.startswith(_CURVE)
+                }
             _check_columns(columns)
+            _check_curves(curves)
         except _UNREADABLE as error:
             raise UsageError(f"{path}: cannot be read as samples: {error}") from None
-        return Samples(columns, phases)
+        return Samples(columns, phases, curves)
 
     def profile_path(self) -> Path:
         """The profile as it was in this run; raises UsageError where that is a link."""
@@ -155,23 +210,22 @@ class RunFolder:
 
     def export(self, journal: Journal, run: str, target: Path) -> list[Path]:
         """Copy the run to `target` with its journal, samples as CSV, changes as DCF; return the files."""
-        result = self.result()
+        history = self.history(journal, run)
+        result = self.result(history)
         try:
             target.mkdir(parents=True, exist_ok=True)
             for name in _FOREIGN if self.exported is not None else _FILES:
                 path = self.path / name
                 if path.exists() or path.is_symlink():
                     replace(target / name, contents(path, _LARGEST_SAMPLES, links=False))
-            history = self.history(journal, run)
-            replace(target / "journal.json", json.dumps(history, indent=1).encode())
+            replace(target / "journal.json", json.dumps(history_tree(history), indent=1).encode())
             samples = self.samples()
-            if samples is not None:
-                _write_csv(target / "samples.csv", samples, result)
-                spans = (result["experiment"] or {}).get("spans")
-                if spans:
-                    _write_csv(
-                        target / "oscillations.csv", samples, result, (spans[0][0], spans[-1][1])
-                    )
+            if samples is not None and len(samples):
+                _write_csv(target / "samples.csv", samples, result.units)
+                shown = result.experiment.cycles if result.experiment else ()
+                if shown:
+                    span = shown[0].begin, shown[-1].end
+                    _write_csv(target / "oscillations.csv", samples, result.units, span)
             changes = self._dcf(history)
             if changes:
                 replace(target / "changes.dcf", changes.encode())
@@ -180,25 +234,109 @@ class RunFolder:
             raise UsageError(f"cannot export to {target}: {why}") from None
         return sorted(target.iterdir())
 
-    def _dcf(self, history: dict[str, Any]) -> str:
+    def _dcf(self, history: History) -> str:
         """What the run changed for good in a CANopen drive, as a DCF; '' where there is nothing."""
         if not self.profile_path().exists():
             return ""
         profile = load_profile(str(self.profile_path()), lenient=True)
         changed = {
-            intent["parameter"]: intent["new"]
-            for intent in history["intents"]
-            if intent["kind"] != "experiment"
-            and intent["state"] != "restored"
-            and intent["parameter"] in profile.parameters
+            intent.parameter: intent.new
+            for intent in history.intents
+            if intent.lasts and intent.is_open and intent.parameter in profile.parameters
         }
         if profile.bus != "canopen" or not changed:
             return ""
-        node = re.search(r"[?&]node=([0-9]{1,3})(?:&|$)", history["run"]["link"])
+        node = re.search(r"[?&]node=([0-9]{1,3})(?:&|$)", history.run.link)
         return dcf(profile, changed, int(node[1]) if node else profile.link.node)
 
 
-def _check_columns(columns: dict[str, NDArray[np.float64]]) -> None:
+# -- what a run has left in its drive ---------------------------------------------------------------
+
+
+def left_in_drive(result: RunResult, history: History) -> tuple[Written, ...]:
+    """What the run changed and has not put back, by its journal; of what that does not know by the result."""
+    lasting = [intent for intent in history.intents if intent.lasts]
+    if lasting and not any(intent.is_open for intent in lasting):
+        return ()
+    left = {one.parameter: one for one in result.written}
+    changes = {c.parameter: c for c in _changes(result)}
+    for name in dict.fromkeys(intent.parameter for intent in lasting):
+        left.pop(name, None)
+        those = [i for i in lasting if i.parameter == name and i.is_open]
+        if not those or (those[-1].new == those[0].old and those[-1].state == "verified"):
+            continue
+        last, change = those[-1], changes.get(name)
+        value = change.new if change is not None and change.new_raw == last.new else None
+        left[name] = Written(
+            name, "gain" if last.kind == "gain" else "compensation", last.new, value,
+            change.unit if change else "", last.state == "verified",
+        )  # fmt: skip
+    return tuple(left.values())
+
+
+def _changes(result: RunResult) -> tuple[Change, ...]:
+    return result.compensation + tuple(c for one in result.tuning for c in one.parameters)
+
+
+def drive_state(result: RunResult, history: History) -> DriveState:
+    """Whose compensation is in the drive, by what the run has left there."""
+    memory = history.memory
+    written = [one for one in result.written if one.kind == "compensation"]
+    if not written:
+        changes = any(c.old_raw != c.new_raw for c in result.compensation)
+        kept = changes and memory in (STORED, STORING)
+        return DriveState(CompensationState.NOT_KNOWN if kept else CompensationState.AS_FOUND)
+    stored = None if memory == STORING else memory == STORED
+    if not all(one.certain for one in written):
+        return DriveState(CompensationState.NOT_KNOWN, stored)
+    whole = result.wrote(result.compensation)
+    return DriveState(CompensationState.OF_RUN if whole else CompensationState.PARTLY, stored)
+
+
+def settings_state(history: History) -> SettingsState:
+    """Whether the settings of the experiment are back."""
+    names = tuple(dict.fromkeys(i.parameter for i in history.intents if i.is_open and not i.lasts))
+    return SettingsState("not put back" if names else "put back", names)
+
+
+def as_of(result: RunResult, history: History) -> RunResult:
+    """A result that was read, with what its journal says of the drive since."""
+    result = dataclasses.replace(result, written=left_in_drive(result, history))
+    ending = result.ending
+    if ending is None:
+        if history.run.status == "running":  # killed, or under way
+            return result
+        ending = Ending(AxisState.NOT_RECORDED)
+    ending = dataclasses.replace(
+        ending, settings=settings_state(history), drive=drive_state(result, history)
+    )
+    return dataclasses.replace(result, ending=ending)
+
+
+# -- samples ----------------------------------------------------------------------------------------
+
+
+def _merged(before: Mapping[str, Array], new: Mapping[str, Array]) -> dict[str, Array]:
+    kinds = {name.split(".")[0] for name in new}
+    return {n: c for n, c in before.items() if n.split(".")[0] not in kinds} | dict(new)
+
+
+def _archive(samples: Samples) -> bytes:
+    archive = io.BytesIO()
+    phases = np.array(json.dumps(samples.phases))
+    curves = {_CURVE + name: curve for name, curve in samples.curves.items()}
+    np.savez(archive, allow_pickle=False, phases=phases, **samples.columns, **curves)
+    return archive.getvalue()
+
+
+def _check_curves(curves: dict[str, Array]) -> None:
+    """Raise ValueError where they are no rows of finite numbers."""
+    for name, curve in curves.items():
+        if curve.ndim != 2 or not np.all(np.isfinite(curve)):
+            raise ValueError(f"'{name}' is no curve")
+
+
+def _check_columns(columns: dict[str, Array]) -> None:
     """Raise ValueError where they are no columns of one length, or an instant or a position is no number."""
     if len({column.shape for column in columns.values()}) != 1 or columns["time"].ndim != 1:
         raise ValueError("its columns are not of one length")
@@ -223,10 +361,10 @@ def resolve(journal: Journal, run: str) -> tuple[str, RunFolder]:
     if _is_folder(path) and (path / "run.json").exists():
         origin = path / "journal.json"
         try:
-            tree = checked_journal(json_file(origin), str(origin))
+            history = history_of(json_file(origin), str(origin))
         except FileNotFoundError:
             raise UsageError(f"{path} holds no exported run (journal.json is missing)") from None
-        return tree["run"]["id"], RunFolder(path, tree)
+        return history.run.id, RunFolder(path, history)
     record = journal.run(run)
     folder = RunFolder.of(journal, record.id)
     if not folder.path.exists():
@@ -244,10 +382,10 @@ def _is_folder(path: Path) -> bool:
 
 
 def _write_csv(
-    path: Path, samples: Samples, result: dict[str, Any], span: tuple[float, float] | None = None
+    path: Path, samples: Samples, units: Units, span: tuple[float, float] | None = None
 ) -> None:
     """All samples, or those between two instants (s) of the run: what `analyze` reads best."""
-    linear = result.get("units", {}).get("position") == "m"
+    linear = units.position == "m"
     position, effort = ("m", "N") if linear else ("rad", "Nm")
     kind = "force" if linear else "torque"
     header = [
@@ -257,7 +395,7 @@ def _write_csv(
     file = io.StringIO(newline="")
     writer = csv.writer(file)
     writer.writerow(header)
-    since = samples["time"] - (samples["sent"][0] if len(samples) else 0.0)
+    since = samples.time - (samples.sent[0] if len(samples) else 0.0)
     kept = slice(None) if span is None else (since >= span[0]) & (since <= span[1])
     writer.writerows(zip(*(samples[name][kept].tolist() for name in _COLUMNS), strict=True))
     replace(path, file.getvalue().encode())

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.drive import Bus
 from drivers.home import home
-from drivers.link_text import Link, host_and_port, is_simulated, parse
+from drivers.link_text import Link, host_and_port, is_simulated, name_of, parse
 from drivers.optional import as_it_is
 from drivers.pace import Pace, StepPace, WallPace
 from drivers.patience import when_up
@@ -43,10 +43,10 @@ Trace = Callable[..., None]
 
 
 def axis_of(link_text: str) -> Axis:
-    """The axis that a bare LINK stands for: a virtual one is known, any other is rotary."""
+    """The axis that a bare LINK stands for: a virtual one is known, others are rotary."""
     link = parse(link_text)
     if link.scheme != "virtual":
-        return Axis(name="axis", link=link_text)
+        return Axis(name=name_of(link), link=link_text)
     virtual = _virtual_axis(link)
     linear = virtual.motion == "linear"
     return Axis(
@@ -173,10 +173,8 @@ def _open_virtual(
 def _virtual_axis(link: Link) -> Any:
     from drivers.virtual.axes import configured
 
-    return configured(
-        link.place.strip("/"),
-        {k: v for k, v in link.options.items() if k not in ("state", "habit")},
-    )
+    options = {k: v for k, v in link.options.items() if k not in ("state", "habit")}
+    return configured(link.place.strip("/"), options, link.options.get("state"))
 
 
 def _habits(link: Link) -> Any:

@@ -15,11 +15,12 @@ from urllib.parse import parse_qsl, unquote
 
 from profiles.errors import UsageError
 
-__all__ = ["SCHEMES", "Link", "host_and_port", "is_simulated", "parse"]
+__all__ = ["SCHEMES", "Link", "host_and_port", "is_simulated", "name_of", "parse"]
 
 SCHEMES = ("virtual", "modbus-tcp", "modbus-rtu", "modbus-rtu-tcp", "modbus-tls", "canopen")
 _MODBUS_PORT, _SECURE_PORT = 502, 802
 _LONGEST = 2000
+_LONGEST_NAME = 60  # characters of a place
 
 _NAME = re.compile(r"[A-Za-z0-9_.:/\\-]+")  # of a device or a channel
 _WORD = re.compile(r"[A-Za-z0-9_-]+")  # an interface of python-can, a virtual axis
@@ -131,6 +132,25 @@ def host_and_port(link: Link) -> tuple[str, str]:
         )
     own = _SECURE_PORT if link.scheme == "modbus-tls" else _MODBUS_PORT
     return found["host"], found["port"] or str(own)
+
+
+def name_of(link: Link) -> str:
+    """What people call the drive of a LINK that no axis file names: its place, and who it is there."""
+    if link.scheme == "virtual":
+        return link.place.strip("/")
+    if link.scheme == "canopen":
+        channel = link.channel
+        if link.interface == "slcan":
+            channel = _BAUDRATE.sub("", channel)
+        place, who = channel, link.options.get("node", "1")
+    elif link.device:
+        place, who = link.device, link.options.get("unit", "1")
+    else:
+        host, port = host_and_port(link)
+        own = port in (str(_MODBUS_PORT), str(_SECURE_PORT))
+        place, who = host if own else f"{host}:{port}", link.options.get("unit", "1")
+    place = re.sub(r"^(/dev/|\\\\\.\\)(serial/by-id/|serial/by-path/)?", "", place)
+    return f"{re.sub(r'[^A-Za-z0-9._-]+', '-', place).strip('-')[-_LONGEST_NAME:]}-{who}"
 
 
 def _check_place(link: Link) -> None:

@@ -10,8 +10,9 @@ from math import pi
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
+from profiles.errors import ProfileError
 from profiles.schema import _Strict
 from profiles.toml_files import load_model
 
@@ -65,6 +66,20 @@ class AxisLimits(_Strict):
     watchdog: Positive | None = None  # s, what the drive's watchdog is armed with
 
 
+LONGEST_NAME = 100  # characters
+
+
+def _name(text: str) -> str:
+    """A name as people say it: of any script, in one line."""
+    if not text or text != text.strip():
+        raise ValueError("must not be empty, nor begin or end with a space")
+    if len(text) > LONGEST_NAME:
+        raise ValueError(f"has {len(text)} characters: must have {LONGEST_NAME} at most")
+    if not text.isprintable():
+        raise ValueError("must be one line of printable characters")
+    return text
+
+
 class Axis(_Strict):
     """One axis of a machine.
 
@@ -73,7 +88,7 @@ class Axis(_Strict):
     revolution) are for drives that do not tell theirs.
     """
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")] = "axis"
+    name: Annotated[str, AfterValidator(_name)] = "axis"
     link: str | None = None
     profile: str | None = None
     travel: Positive | None = None
@@ -105,6 +120,12 @@ def load_axis(path: Path) -> Axis:
     beside = path.parent / axis.profile if axis.profile else None
     if beside is not None and beside.suffix == ".toml" and beside.exists():
         axis = axis.model_copy(update={"profile": str(beside)})
-    if "name" not in axis.model_fields_set:
-        axis = axis.model_copy(update={"name": path.stem})
-    return axis
+    if "name" in axis.model_fields_set:
+        return axis
+    try:
+        return axis.model_copy(update={"name": _name(path.stem)})
+    except ValueError as error:
+        raise ProfileError(
+            f"{path}: the file's name is the axis' name, which {error}; give another in the file: "
+            'name = "…"'
+        ) from None

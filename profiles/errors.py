@@ -17,6 +17,7 @@
     ├── WriteFailed                    7   write, read-back, store or restore incomplete
     │   ├── WriteDenied                7   SDO abort, Modbus exception: the drive refuses to be written to
     │   └── JournalError               7   the journal cannot be written
+    ├── DoesNotHelp                    8   the compensation was tried, and is taken back
     └── Interrupted              130, 143  SIGINT, SIGTERM
 
 Every message is one plain line: what happened, to what, with numbers and units, and what to do.
@@ -25,9 +26,13 @@ Every message is one plain line: what happened, to what, with numbers and units,
 from __future__ import annotations
 
 import difflib
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Literal
 
 __all__ = [
     "AccessDenied",
+    "DoesNotHelp",
     "DriveFault",
     "EnvelopeTripped",
     "FeedbackReversed",
@@ -48,6 +53,9 @@ __all__ = [
 ]
 
 
+Status = Literal["completed", "stopped", "failed", "refused", "rejected"]
+
+
 class TwoRelayError(Exception):
     """Something that the user is told in one line.
 
@@ -57,10 +65,25 @@ class TwoRelayError(Exception):
         Exit code of the command line.
     status : str
         `status` of the result JSON.
+    code : str
+        Stable name for programs.
+    said_by : str
+        Who ended what was under way; '' where nobody but tworelay did.
+    hint : str
+        What to do next.
+    numbers : dict
+        What the message is about, by name.
+    noted : bool
+        The run that it ended says so.
     """
 
     exit_code = 1
-    status = "failed"
+    status: Status = "failed"
+    code = "internal"
+    said_by = ""
+    hint = ""
+    numbers: Mapping[str, float] = MappingProxyType({})
+    noted = False
 
     def __init__(self, message: str) -> None:
         super().__init__(" ".join(message.split()))
@@ -70,14 +93,19 @@ class UsageError(TwoRelayError):
     """The command or a file is not what it must be."""
 
     exit_code = 2
+    code = "usage"
 
 
 class ProfileError(UsageError):
     """A profile or axis file is not valid: file, section, key, and what is allowed."""
 
+    code = "usage.profile"
+
 
 class UnknownName(UsageError):
     """A name that does not exist, with those that do."""
+
+    code = "usage.name"
 
     def __init__(self, kind: str, name: str, known: list[str]) -> None:
         self.kind, self.name, self.known = kind, name, known
@@ -92,43 +120,65 @@ class Refused(TwoRelayError):
 
     exit_code = 3
     status = "refused"
+    code = "refused"
 
 
 class IdentityMismatch(Refused):
     """The drive on the link is not the one that is meant."""
 
+    code = "refused.identity"
+
 
 class PreflightRefused(Refused):
     """A condition for motion is not met."""
+
+    code = "refused.preflight"
 
 
 class LinkError(TwoRelayError):
     """The drive cannot be talked to."""
 
     exit_code = 4
+    code = "link"
+    said_by = "the link"
 
 
 class NoAnswer(LinkError):
     """The time-out of one request has passed."""
 
+    code = "link.no-answer"
+
 
 class LinkLost(LinkError):
     """A link that worked no longer does."""
 
+    code = "link.lost"
+
 
 class DriveFault(TwoRelayError):
-    """The drive stopped by itself."""
+    """The drive stopped by itself, or `said_by` stopped it."""
 
     exit_code = 5
     status = "stopped"
+    code = "drive.fault"
+    said_by = "the drive"
+
+    def __init__(self, message: str, said_by: str = "") -> None:
+        super().__init__(message)
+        self.said_by = said_by or type(self).said_by
 
 
 class EnvelopeTripped(DriveFault):
     """A limit of the experiment was reached, so the axis was stopped."""
 
+    code = "limit"
+    said_by = "tworelay, at a limit of the experiment"
+
 
 class FeedbackReversed(EnvelopeTripped):
     """The position answers against the torque, so that a quick stop would accelerate: the energy must go."""
+
+    code = "limit.feedback"
 
 
 class MeasurementRejected(TwoRelayError):
@@ -136,12 +186,14 @@ class MeasurementRejected(TwoRelayError):
 
     exit_code = 6
     status = "rejected"
+    code = "measurement"
 
 
 class WriteFailed(TwoRelayError):
     """A parameter is not what it should be after a write, a store or a restore."""
 
     exit_code = 7
+    code = "write"
 
 
 class AccessDenied(TwoRelayError):
@@ -151,6 +203,8 @@ class AccessDenied(TwoRelayError):
     """
 
     exit_code = 4
+    code = "access.denied"
+    said_by = "the drive"
 
     def __init__(
         self, message: str, *, busy: bool = False, missing: bool = False, length: bool = False
@@ -165,10 +219,20 @@ class WriteDenied(AccessDenied, WriteFailed):
     """The drive answers, and refuses a write."""
 
     exit_code = 7
+    code = "write.denied"
 
 
 class JournalError(WriteFailed):
     """The journal cannot be read or written, so nothing may be done."""
+
+    code = "journal"
+
+
+class DoesNotHelp(TwoRelayError):
+    """The compensation was tried, and the axis follows no better with it: the old values are back."""
+
+    exit_code = 8
+    code = "verify.no-help"
 
 
 class Interrupted(TwoRelayError):
@@ -176,7 +240,9 @@ class Interrupted(TwoRelayError):
 
     exit_code = 130
     status = "stopped"
+    code = "interrupted"
 
-    def __init__(self, message: str, signal_number: int) -> None:
+    def __init__(self, message: str, signal_number: int, said_by: str = "the operator") -> None:
         super().__init__(message)
         self.exit_code = 128 + signal_number
+        self.said_by = said_by

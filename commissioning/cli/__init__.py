@@ -29,7 +29,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "plot": ("plot", "A picture of a run: loci."),
     "report": ("report", "Write the HTML report of a run."),
     "export": ("export", "Copy a run with its samples and journal to a folder."),
-    "history": ("history", "The runs of this computer: give back the room of old ones."),
+    "history": ("history", "The runs of this computer, newest last."),
     "scan": ("scan", "Which drives are on a bus, and which profile fits."),
     "doctor": ("doctor", "What this machine and a link have, and what is wrong with them."),
     "latency": ("latency", "Round trip, jitter and the fastest cycle of a link."),

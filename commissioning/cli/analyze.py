@@ -68,7 +68,8 @@ def command(
     functions, any other motion by the latter.
     """
     from commissioning.cli import show
-    from commissioning.session.analyze import Rejected, analyze
+    from commissioning.session.analyze import analyze
+    from commissioning.session.found import Rejected
 
     check_json(json_target)
     screen = Screen(json_target, yes=True)
@@ -88,3 +89,4 @@ def command(
     show.summary(result, screen)
     if target is not None:
         show.outcome(result, screen)
+        show.ending(result, screen)

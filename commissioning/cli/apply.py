@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from commissioning.cli.options import verbose
-from commissioning.cli.terminal import Screen, at_desk, check_json, failure_in_json, write_json
+from commissioning.cli.terminal import Screen, act_on, at_desk, check_json, write_json
+
+if TYPE_CHECKING:
+    from commissioning.result.document import RunResult
 
 __all__ = ["command", "write"]
 
@@ -29,11 +32,14 @@ def command(
     run: str, link: str | None, gains: str | None, yes: bool, json_target: str | None
 ) -> None:
     """Write what RUN proposed, read it back, and store it in the drive."""
+    from commissioning.cli import show
+
     check_json(json_target)
     screen = Screen(json_target, yes=yes)
     result = write(run, link, screen, json_target, gains)
     write_json(result, json_target)
-    screen.say(f"run {result['run']}: written. To take it back: tworelay restore {result['run']}")
+    screen.say(f"written; to take it back: tworelay restore {result.run}")
+    show.ending(result, screen)
 
 
 def write(
@@ -42,10 +48,10 @@ def write(
     screen: Screen,
     json_target: str | None,
     gains: str | None = None,
-) -> dict[str, Any]:
+) -> RunResult:
     """Apply with the proposal shown; on failure write the JSON too, then raise."""
     from commissioning.cli import show
     from commissioning.session.apply import apply
 
-    with at_desk(screen) as desk, failure_in_json(desk, run, json_target):
-        return apply(run, link, desk, lambda items: show.proposal(items, screen), gains)
+    with at_desk(screen) as desk, act_on(run, desk, screen, json_target):
+        return apply(run, link, desk, lambda changes: show.proposal(changes, screen), gains)

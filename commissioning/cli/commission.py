@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from commissioning.cli.terminal import (
+    Job,
     Screen,
+    act_on,
     at_desk,
-    axis_from,
     check_json,
-    failure_in_json,
     job_options,
     write_json,
 )
-from commissioning.report.words import host_law
+
+if TYPE_CHECKING:
+    from commissioning.result.document import RunResult
 
 __all__ = ["command"]
 
@@ -23,7 +25,7 @@ __all__ = ["command"]
 @click.command("commission")
 @click.argument("target")
 @job_options
-def command(target: str, **arguments: Any) -> None:
+def command(target: str, job: Job) -> None:
     """Identify the axis at TARGET, apply the compensation, prove that it helps, write the report.
 
     The compensation is stored once it is proved; else the drive is left as it was found.
@@ -32,38 +34,44 @@ def command(target: str, **arguments: Any) -> None:
     from commissioning.cli.identify import measure
     from commissioning.cli.report import say_report
     from commissioning.ownership import owned
+    from commissioning.result.words import nothing_proposed
 
-    check_json(arguments["json_target"])
-    screen = Screen(arguments["json_target"], yes=arguments["yes"])
-    axis = axis_from(target, arguments["profile"])
+    check_json(job.json_target)
+    screen = Screen(job.json_target, yes=job.yes)
+    axis = job.axis(target)
     with owned(axis.link or "virtual://", "commission"):  # from the first step to the last
-        result = measure(target, screen, arguments)
-        if arguments["dry_run"]:
-            write_json(result, arguments["json_target"])
+        result = measure(target, screen, job)
+        if job.dry_run:
+            write_json(result, job.json_target)
             return
         show.summary(result, screen)
+        run = str(result.run)
         try:
-            if result["compensation"]:
-                result = _prove(result["run"], screen, arguments)
+            if result.compensation:
+                result = _prove(run, screen, job)
             else:
-                screen.say(host_law(result["host_compensation"]))
+                screen.say(nothing_proposed(result))
         finally:
-            say_report(result["run"], screen)
-    screen.say(f"run {result['run']}")
-    write_json(result, arguments["json_target"])
+            say_report(run, screen)
+    show.ending(result, screen)
+    write_json(result, job.json_target)
 
 
-def _prove(run: str, screen: Screen, arguments: dict[str, Any]) -> dict[str, Any]:
+def _prove(run: str, screen: Screen, job: Job) -> RunResult:
     """Write, prove, store; on failure write the JSON too, then raise."""
     from commissioning.cli import show
     from commissioning.session.commission import prove_and_store
 
-    limits = {"without_watchdog": arguments["without_watchdog"]}
     with (
         at_desk(screen) as desk,
-        failure_in_json(desk, run, arguments["json_target"]),
+        act_on(run, desk, screen, job.json_target),
         screen.working("proving"),
     ):
-        result = prove_and_store(run, desk, lambda items: show.proposal(items, screen), limits)
+        result = prove_and_store(
+            run,
+            desk,
+            lambda changes: show.proposal(changes, screen),
+            without_watchdog=job.without_watchdog,
+        )
     show.verification(result, screen)
     return result

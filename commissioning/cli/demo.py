@@ -5,15 +5,19 @@ from __future__ import annotations
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from commissioning.cli.options import verbose
-from commissioning.cli.terminal import Screen
+from commissioning.cli.terminal import Job, Screen
 from commissioning.interruption import Interruption
 from commissioning.processes import start
 from profiles.errors import LinkError
+
+if TYPE_CHECKING:
+    from commissioning.result.document import RunResult
+    from drivers.virtual.axes import VirtualAxis
 
 __all__ = ["command"]
 
@@ -32,6 +36,7 @@ def command(clock: str) -> None:
     from commissioning.cli.identify import measure
     from commissioning.cli.report import say_report
     from commissioning.cli.verify import prove
+    from commissioning.session.verify import Wishes
     from drivers.virtual.axes import AXES
 
     screen = Screen(None, yes=True)
@@ -55,30 +60,34 @@ def command(clock: str) -> None:
             arguments = [link, "--travel", "±3.14", "--cycle", "0.004", "--yes"]
             screen.say()
             screen.say("$ tworelay identify " + " ".join(arguments))
-            result = measure(link, screen, identify.make_context("identify", arguments).params)
+            asked = identify.make_context("identify", arguments).params
+            result = measure(link, screen, Job.of(asked))
             show.summary(result, screen)
             _against_truth(result, truth, screen)
             screen.say()
-            screen.say(f"$ tworelay apply {result['run']} --yes")
-            write(result["run"], None, screen, None)
+            run = str(result.run)
+            screen.say(f"$ tworelay apply {run} --yes")
+            write(run, None, screen, None)
             screen.say()
-            screen.say(f"$ tworelay verify {result['run']} --yes")
-            result = prove(result["run"], None, screen, None, {})
+            screen.say(f"$ tworelay verify {run} --yes")
+            result = prove(run, None, screen, None, Wishes())
         finally:
             server.terminate()
     screen.say()
-    screen.say(f"run {result['run']}; to take it back: tworelay restore {result['run']}")
-    say_report(result["run"], screen)
+    say_report(run, screen)
+    screen.say(f"to take it back: tworelay restore {run}")
+    show.ending(result, screen)
 
 
-def _against_truth(result: dict[str, Any], truth: Any, screen: Screen) -> None:
-    friction = result["friction"]
-    f, offset = friction["coulomb"]["value"], friction["offset"]["value"]
-    unit = friction["coulomb"]["unit"]
+def _against_truth(result: RunResult, truth: VirtualAxis, screen: Screen) -> None:
+    coulomb, offset = result.friction.coulomb, result.friction.offset
+    if coulomb is None or offset is None:
+        return
+    f, unit = coulomb.value, coulomb.unit
     rows = [
         ["Coulomb friction", f"{f:.4g} {unit}", f"{truth.coulomb:.4g} {unit}",
          f"{100 * (f / truth.coulomb - 1):+.1f} %"],
-        ["offset", f"{offset:.4g} {unit}", f"{truth.load:.4g} {unit}",
-         f"{offset - truth.load:+.2g} {unit}"],
+        ["offset", f"{offset.value:.4g} {unit}", f"{truth.load:.4g} {unit}",
+         f"{offset.value - truth.load:+.2g} {unit}"],
     ]  # fmt: skip
     screen.table("found against true", ["", "found", "true", "error"], rows)

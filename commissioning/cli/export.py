@@ -27,7 +27,7 @@ def command(run: str, folder: Path) -> None:
     from commissioning.runs import resolve
     from drivers.home import home
 
-    with Journal(home()) as journal:
+    with Journal(home(), reading=True) as journal:
         run_id, source = resolve(journal, run)
         for path in source.export(journal, run_id, folder):
             say(str(path))

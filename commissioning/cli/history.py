@@ -1,24 +1,95 @@
-"""tworelay history prune."""
+"""tworelay history [AXIS], and history prune."""
 
 from __future__ import annotations
 
 import re
 import time
+from datetime import datetime
+from typing import TYPE_CHECKING
 
 import click
 
 from commissioning.cli.options import verbose
+from commissioning.cli.output import document, json_text
 from commissioning.cli.terminal import Screen, at_desk
 from profiles.errors import UsageError
+
+if TYPE_CHECKING:
+    from commissioning.session.listed import Listed
 
 __all__ = ["command"]
 
 _DAY = 86400.0  # s
 
 
-@click.group("history")
+class _RunsOf(click.Group):
+    """A group whose own act takes an AXIS: a word that is no command of it is the axis of a list."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in self.commands:
+            return list_runs.name, list_runs, args
+        return super().resolve_command(ctx, args)
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if not args or (args[0].startswith("-") and args[0] != "--help"):
+            args = ["list", *args]
+        return super().parse_args(ctx, args)
+
+
+@click.group("history", cls=_RunsOf)
 def command() -> None:
-    """The runs of this computer."""
+    """The runs of this computer: 'tworelay history [AXIS]' lists them, newest last."""
+
+
+@command.command("list")
+@click.argument("axis", required=False)
+@click.option(
+    "--most", type=click.IntRange(1), default=30, show_default=True, metavar="N",
+    help="Only the last N runs.",
+)  # fmt: skip
+@click.option("--all", "everything", is_flag=True, help="All of them.")
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@verbose
+def list_runs(axis: str | None, most: int, everything: bool, as_json: bool) -> None:
+    """The runs (of AXIS) in the order in which they came: verdict, friction, what is in the drive."""
+    from commissioning.journal import Journal
+    from commissioning.result.words import number
+    from commissioning.session.listed import runs
+    from drivers.home import home
+
+    with Journal(home(), reading=True) as journal:
+        found, before = runs(journal, axis, None if everything else most)
+    if as_json:
+        document(json_text([_tree(one) for one in found]))
+        return
+    screen = Screen(None, yes=True)
+    if not found:
+        screen.say("no runs" if axis is None else f"no runs of axis '{axis}'")
+        return
+    if before:
+        screen.say(f"{before} older runs are not shown: --all")
+    rows = []
+    for one in found:
+        f = one.coulomb
+        when = time.strftime("%Y-%m-%d %H:%M", time.localtime(one.began))
+        friction = f"{number(f.value, f.unit)} ± {100 * f.half_width:.2g} %" if f else ""
+        axis_text = f"{one.axis} (adopted)" if one.adopted else one.axis
+        rows.append([one.run, axis_text, when, one.verdict, friction, one.drive])
+    columns = ["run", "axis", "began", "verdict", "Coulomb friction", "in the drive"]
+    screen.table("runs, newest last", columns, rows)
+
+
+def _tree(one: Listed) -> dict[str, object]:
+    """A row for JSON."""
+    f = one.coulomb
+    began = datetime.fromtimestamp(one.began).astimezone().isoformat(timespec="seconds")
+    return {
+        "run": one.run, "axis": one.axis, "began": began, "verdict": one.verdict,
+        "coulomb": f and {"value": f.value, "low": f.low, "high": f.high, "unit": f.unit},
+        "drive": one.drive, "adopted": one.adopted,
+    }  # fmt: skip
 
 
 @command.command("prune")

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text
 from commissioning.cli.terminal import Finite, Screen, at_desk, axis_from, travel_from
+
+if TYPE_CHECKING:
+    from commissioning.result.document import Quantity
 
 __all__ = ["command"]
 
@@ -34,8 +38,11 @@ def command(
     count: int,
     as_json: bool,
     move: bool,
+    travel: str | None,
+    max_torque: float | None,
+    max_speed: float | None,
+    without_watchdog: bool,
     yes: bool,
-    **limits: Any,
 ) -> None:
     """Round trip and cycle of a link, the fastest cycle that it holds, and what that means.
 
@@ -49,14 +56,14 @@ def command(
 
     screen = Screen("-" if as_json else None, yes=yes)
     axis = axis_from(target, profile)
-    limits["travel"] = travel_from(limits["travel"])
-    late: dict[str, Any] | None = None
+    options = Options(travel_from(travel), max_torque, max_speed, without_watchdog=without_watchdog)
+    late: Quantity | None = None
     with at_desk(screen) as desk, screen.working("measuring"):
         found = latency(axis, count, desk)
         if move:
-            options = Options(**limits, cycle=max(found.cycle, _LEAST_CYCLE))
+            options = replace(options, cycle=max(found.cycle, _LEAST_CYCLE))
             try:
-                late = dead_time(axis, options, desk)["friction"]["dead_time"]
+                late = dead_time(axis, options, desk).friction.dead_time
             except Failure as failure:
                 raise failure.error from None
     rows = {
@@ -64,13 +71,15 @@ def command(
         f"lateness at {found.cycle * 1000:g} ms": found.lateness,
     }  # fmt: skip
     if as_json:
-        tree: dict[str, Any] = {
+        tree: dict[str, object] = {
             name: dict(zip(("median", "p99", "worst"), _three(values), strict=True))
             for name, values in zip(("service", "exchange", "lateness"), rows.values(), strict=True)
         }
         tree |= {
             "cycle": found.cycle, "late_share": found.late_share, "missed": found.missed,
-            "shortest_period": found.shortest_period, "watchdog": found.watchdog, "dead_time": late,
+            "shortest_period": found.shortest_period, "watchdog": found.watchdog,
+            "dead_time": late
+            and {"value": late.value, "low": late.low, "high": late.high, "unit": late.unit},
         }  # fmt: skip
         document(json_text(tree))
         return
@@ -102,9 +111,9 @@ def command(
         "can be, the less travel an experiment takes"
     )
     if late is not None:
-        low, high = 1000 * late["low"], 1000 * late["high"]
+        low, high = 1000 * (late.low or 0.0), 1000 * (late.high or 0.0)
         screen.say(
-            f"dead time from command to motion: {1000 * late['value']:.3g} ms ({low:.3g} … {high:.3g} ms)"
+            f"dead time from command to motion: {1000 * late.value:.3g} ms ({low:.3g} … {high:.3g} ms)"
         )
 
 

@@ -7,17 +7,19 @@ no job: the rest of what it would have said is lost, which is told on the other 
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import sys
 from collections.abc import Generator
+from pathlib import Path
 from typing import Any
 
 import click
 
 from profiles.plain import plain, plain_lines
 
-__all__ = ["document", "giving_up", "json_text", "say"]
+__all__ = ["document", "giving_up", "json_text", "say", "written"]
 
 
 def say(text: str = "", *, err: bool = False) -> None:
@@ -38,6 +40,32 @@ def json_text(tree: Any) -> str:
 def _write(text: str, *, err: bool) -> None:
     with giving_up(err=err):
         click.echo(text, err=err, nl=False)
+
+
+def written(content: bytes, asked: str | None, usual: Path, run: str) -> Path:
+    """Write a file to where it is `asked` for, else to its `usual` place; returns where.
+
+    Where that cannot be written – somebody else's home, a read-only medium – it goes to the working
+    directory, by the run's name. Raises UsageError.
+    """
+    from profiles.errors import UsageError
+    from profiles.files import replace
+
+    target = usual if asked is None else Path(asked)
+    try:
+        if asked is not None:
+            target.write_bytes(content)
+            return target
+        try:
+            replace(target, content)
+        except OSError as error:
+            if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
+                raise
+            target = Path(f"{run}-{usual.name}")
+            replace(target, content)
+    except OSError as error:
+        raise UsageError(f"{target}: cannot be written: {error.strerror}") from None
+    return target
 
 
 @contextlib.contextmanager

@@ -8,11 +8,9 @@ from pathlib import Path
 import click
 
 from commissioning.cli.options import verbose
-from commissioning.cli.output import say
+from commissioning.cli.output import say, written
 from commissioning.cli.terminal import Finite
 from profiles.errors import Refused, UsageError
-from profiles.files import replace
-from profiles.plain import plain_tree
 
 __all__ = ["command"]
 
@@ -49,31 +47,24 @@ def loci(run: str, amplitude: float | None, hysteresis: float | None, output: st
     from commissioning.journal import Journal
     from commissioning.report.figures import loci as draw
     from commissioning.report.quiet import quiet
+    from commissioning.result.codec import printable
     from commissioning.runs import resolve
     from drivers.home import home
 
-    with Journal(home()) as journal:
+    with Journal(home(), reading=True) as journal:
         run_id, folder = resolve(journal, run)
     result = folder.result()
-    coulomb = result["friction"].get("coulomb") or {}
-    if coulomb.get("value") is None or not result.get("critical_point"):
+    if result.friction.coulomb is None or result.critical_point is None:
         raise Refused(f"run {run_id} measured no friction: there is no locus to draw")
-    target = Path(output) if output else folder.path / "loci.svg"
-    if target.suffix not in _FORMATS:
-        raise UsageError(f"--output {target}: must end with {', '.join(_FORMATS)}")
+    kind = Path(output or "loci.svg").suffix.lower()
+    if kind not in _FORMATS:
+        raise UsageError(f"--output {output}: must end with {', '.join(_FORMATS)}")
+    picture = io.BytesIO()
     try:
         with np.errstate(divide="raise", invalid="raise", over="raise"), quiet():
-            picture = io.BytesIO()
-            kind = target.suffix.lower()[1:]
-            draw(plain_tree(result), amplitude, hysteresis).savefig(picture, format=kind, dpi=150)
-        if output:
-            target.write_bytes(picture.getvalue())
-        else:
-            replace(target, picture.getvalue())
-    except OSError as error:
-        raise UsageError(f"{target}: cannot be written: {error.strerror}") from None
-    except (KeyError, TypeError, IndexError, ArithmeticError, ValueError) as error:
-        raise UsageError(
-            f"run {run_id}: lacks what the picture needs ({type(error).__name__}: {error})"
-        ) from None
-    say(str(target))
+            draw(printable(result), amplitude, hysteresis).savefig(
+                picture, format=kind[1:], dpi=150
+            )
+    except (ArithmeticError, ValueError) as error:
+        raise UsageError(f"run {run_id}: its numbers make no picture ({error})") from None
+    say(str(written(picture.getvalue(), output, folder.path / "loci.svg", run_id)))

@@ -144,14 +144,12 @@ def _asked(name: str) -> Draft:
         register = click.prompt(f"{known}: {what}", default="", show_default=False)
         if not register:
             continue
-        cells = {"name": known, "register": register}
-        cells["type"] = click.prompt(
-            "  type", default=_type(known), type=click.Choice(list(WIDTH_BITS))
-        )
+        kind = click.prompt("  type", default=_type(known), type=click.Choice(list(WIDTH_BITS)))
+        cells = {"name": known, "register": register, "type": kind}
         if unit not in ("1", "increment"):
-            cells["unit"] = click.prompt("  unit", default=unit, type=click.Choice(list(Unit)))
-            step = click.prompt(f"  one raw step in {cells['unit']}, as 0.001", type=float)
-            cells["scale"] = str(step)
+            counted = click.prompt("  unit", default=unit, type=click.Choice(list(Unit)))
+            step = click.prompt(f"  one raw step in {counted}, as 0.001", type=float)
+            cells |= {"unit": counted, "scale": str(step)}
         for column, question in _QUESTIONS.get(known, ()):
             answer = click.prompt(f"  {question}", default="", show_default=False)
             if answer:

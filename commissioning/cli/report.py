@@ -7,10 +7,9 @@ from pathlib import Path
 import click
 
 from commissioning.cli.options import verbose
-from commissioning.cli.output import say
+from commissioning.cli.output import say, written
 from commissioning.cli.terminal import Screen
 from profiles.errors import UsageError
-from profiles.files import replace
 
 __all__ = ["command", "say_report", "write_report"]
 
@@ -39,16 +38,8 @@ def write_report(run: str, output: str | None) -> Path:
     from commissioning.runs import resolve
     from drivers.home import home
 
-    with Journal(home()) as journal:
+    with Journal(home(), reading=True) as journal:
         run_id, folder = resolve(journal, run)
-        events = folder.history(journal, run_id)
-    target = Path(output) if output else folder.path / "report.html"
-    text = render(folder.result(), folder.samples(), events)
-    try:
-        if output:
-            target.write_text(text, "utf-8")
-        else:
-            replace(target, text.encode())
-    except OSError as error:
-        raise UsageError(f"report {target}: cannot be written: {error.strerror}") from None
-    return target
+        history = folder.history(journal, run_id)
+    text = render(folder.result(history), folder.samples(), history)
+    return written(text.encode(), output, folder.path / "report.html", run_id)

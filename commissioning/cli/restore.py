@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from commissioning.cli.options import verbose
-from commissioning.cli.terminal import Screen, at_desk
+from commissioning.cli.terminal import Screen, act_on, at_desk
 
 __all__ = ["command"]
 
@@ -23,12 +23,20 @@ def command(run: str | None, link: str | None, force: bool, dry_run: bool, yes: 
     Names the axis and the values, and asks.
     """
     from commissioning.cli import show
-    from commissioning.session.apply import restore
+    from commissioning.session.apply import restore, to_restore
+    from commissioning.session.ending import of_run
 
     screen = Screen(None, yes=yes)
     with at_desk(screen) as desk:
-        outcome = restore(
-            run, link, desk, force=force, dry_run=dry_run,
-            show=lambda rows, drive: show.going_back(rows, drive, screen),
-        )  # fmt: skip
-    screen.say("dry run: nothing was written" if outcome is None else str(outcome))
+        run_id = to_restore(run, desk)
+        if run_id is None:
+            screen.say("nothing to restore")
+            return
+        with act_on(run_id, desk, screen, None):
+            outcome = restore(
+                run_id, link, desk, force=force, dry_run=dry_run,
+                show=lambda rows, drive: show.going_back(rows, drive, screen),
+            )  # fmt: skip
+        screen.say("dry run: nothing was written" if outcome is None else str(outcome))
+        if outcome is not None and (result := of_run(desk, run_id)) is not None:
+            show.ending(result, screen)

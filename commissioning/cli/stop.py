@@ -16,8 +16,14 @@ __all__ = ["command"]
 @verbose
 def command(target: str, profile: str | None) -> None:
     """Stop and de-energise the axis at TARGET, whoever enabled it."""
-    from commissioning.session.apply import stop
+    from commissioning.session.apply import stop, unfinished
 
     screen = Screen(None, yes=True)
-    with at_desk(screen) as desk:
-        screen.say(str(stop(axis_from(target, profile), desk)))
+    axis = axis_from(target, profile)
+    with at_desk(screen, to_stop=True) as desk:
+        screen.say(str(stop(axis, desk)))
+        for run in unfinished(axis, desk):
+            screen.say(
+                f"run {run} left settings changed in a drive on this link; 'tworelay restore {run}' puts "
+                "them back"
+            )

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
+from dataclasses import dataclass, fields
 from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,8 +20,11 @@ from commissioning.session.desk import Desk, Options
 from drivers.home import home
 from drivers.link import axis_of
 from profiles.axis import Axis, load_axis
-from profiles.errors import Refused, TwoRelayError, UsageError
+from profiles.errors import DoesNotHelp, JournalError, Refused, TwoRelayError, UsageError
 from profiles.plain import plain
+
+if TYPE_CHECKING:
+    from commissioning.result.document import RunResult
 
 # spelt out here, so that --help imports no numbers; a test holds it to session.methods
 METHODS = (
@@ -29,13 +33,14 @@ METHODS = (
 
 __all__ = [
     "METHODS",
+    "Job",
     "Screen",
+    "act_on",
     "at_desk",
     "axis_from",
     "check_json",
     "is_target",
     "job_options",
-    "options_from",
     "write_json",
 ]
 
@@ -90,9 +95,13 @@ class Screen:
             return
         from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-        columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+        columns = (
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            TimeElapsedColumn(),
+        )
         with Progress(*columns, console=console, refresh_per_second=4, transient=True) as progress:
-            progress.add_task(text)
+            progress.add_task(plain(text))
             self._progress = progress
             try:
                 yield
@@ -142,10 +151,21 @@ class Screen:
 
 
 @contextlib.contextmanager
-def at_desk(screen: Screen, trace: Callable[..., None] | None = None) -> Generator[Desk]:
-    """Journal open, signals caught."""
-    with Journal(home()) as journal, Interruption() as interruption:
+def at_desk(
+    screen: Screen, trace: Callable[..., None] | None = None, *, to_stop: bool = False
+) -> Generator[Desk]:
+    """Journal open, signals caught; `to_stop`: whatever the journal is like, and it is only read."""
+    with _journal(to_stop=to_stop) as journal, Interruption() as interruption:
         yield Desk(journal, interruption, screen.say, screen.confirm, trace)
+
+
+def _journal(*, to_stop: bool) -> Journal:
+    if not to_stop:
+        return Journal(home())
+    try:
+        return Journal(home(), reading=True)
+    except JournalError:
+        return Journal(home() / "none", reading=True)
 
 
 def is_target(text: str) -> bool:
@@ -229,27 +249,63 @@ _JOB_OPTIONS = [
 ]  # fmt: skip
 
 
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What the user asks of a measurement, as the command line has it."""
+
+    profile: str | None
+    travel: str | None
+    max_torque: float | None
+    max_speed: float | None
+    duration: float | None
+    fraction: float
+    method: str
+    solver: str
+    repeat: int
+    points: bool
+    output_filter: float | None
+    cycle: float | None
+    watchdog: float | None
+    without_watchdog: bool
+    dry_run: bool
+    yes: bool
+    json_target: str | None
+    trace: str | None
+
+    @classmethod
+    def of(cls, params: Mapping[str, Any]) -> Job:
+        """From a command's parameters, others among them."""
+        return cls(**{field.name: params[field.name] for field in fields(cls)})
+
+    def options(self) -> Options:
+        """The job's options; raises UsageError."""
+        return Options(
+            travel_from(self.travel), self.max_torque, self.max_speed, self.duration, self.fraction,
+            self.method, self.solver, self.repeat, self.points, self.output_filter, self.cycle,
+            self.without_watchdog, self.dry_run,
+        )  # fmt: skip
+
+    def axis(self, target: str) -> Axis:
+        """TARGET with what is asked of it; raises UsageError."""
+        axis = axis_from(target, self.profile)
+        if self.watchdog is None:
+            return axis
+        limits = axis.limits.model_copy(update={"watchdog": self.watchdog})
+        return axis.model_copy(update={"limits": limits})
+
+
 def job_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Options of identify and commission."""
-    for option in reversed(_JOB_OPTIONS):
-        function = option(function)
+    """Options of identify and commission, which the command gets as `job`."""
+    names = {field.name for field in fields(Job)}
 
     @wraps(function)
     def wrapped(*args: Any, **kwargs: Any) -> Any:
-        return function(*args, **kwargs)
+        others = {name: value for name, value in kwargs.items() if name not in names}
+        return function(*args, job=Job.of(kwargs), **others)
 
+    for option in reversed(_JOB_OPTIONS):
+        wrapped = option(wrapped)
     return wrapped
-
-
-def options_from(arguments: dict[str, Any]) -> Options:
-    """The job's options; raises UsageError."""
-    names = (
-        "max_torque", "max_speed", "duration", "fraction", "method", "solver", "repeat",
-        "points", "output_filter", "cycle", "without_watchdog", "dry_run",
-    )  # fmt: skip
-    return Options(
-        travel=travel_from(arguments["travel"]), **{name: arguments[name] for name in names}
-    )
 
 
 def travel_from(text: str | None) -> float | None:
@@ -268,19 +324,21 @@ def travel_from(text: str | None) -> float | None:
 
 
 @contextlib.contextmanager
-def failure_in_json(desk: Desk, run: str, target: str | None) -> Generator[None]:
-    """A job on `run` that ends early writes its JSON, too, with the status and the reason."""
-    from commissioning.runs import resolve
+def act_on(run: str, desk: Desk, screen: Screen, json_target: str | None) -> Generator[None]:
+    """An act on `run` that ends early writes its JSON, too, and says what is true then."""
+    from commissioning.cli import show
+    from commissioning.session.ending import of_failed
 
     try:
         yield
     except TwoRelayError as error:
         if error.exit_code >= 3:
-            with contextlib.suppress(UsageError):  # the first error is the one to be told
-                result = resolve(desk.journal, run)[1].result()
-                result["status"] = error.status
-                result["quality"]["reasons"] = [str(error)]
-                write_json(result, target)
+            with contextlib.suppress(TwoRelayError):  # the first error is the one to be told
+                result = of_failed(desk, run, error)
+                write_json(result, json_target)
+                if isinstance(error, DoesNotHelp):
+                    show.verification(result, screen)
+                show.ending(result, screen)
         raise
 
 
@@ -293,18 +351,20 @@ def check_json(target: str | None) -> None:
         raise UsageError(f"--json {target}: cannot be written: no such folder, or a folder itself")
 
 
-def write_json(result: dict[str, Any], target: str | None) -> None:
+def write_json(result: RunResult, target: str | None) -> None:
     """Result as JSON to a file or standard output. Where it cannot be written, the job is no less done."""
     if target is None:
         return
-    text = output.json_text(result)
+    from commissioning.result.codec import text_of
+
+    text = text_of(result)
     if target == "-":
         output.document(text)
         return
     try:
         Path(target).write_text(text, "utf-8")
     except OSError as error:
-        kept = f"; run {result['run']} keeps the result" if result.get("run") else ""
+        kept = f"; run {result.run} keeps the result" if result.run else ""
         output.say(
             f"tworelay: --json {target}: cannot be written: {error.strerror}{kept}", err=True
         )

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
 import click
 
 from commissioning.cli.terminal import (
     Finite,
+    Job,
     Screen,
+    act_on,
     at_desk,
     check_json,
-    failure_in_json,
     is_target,
     job_options,
     write_json,
@@ -38,7 +39,7 @@ def command(
     target: str,
     drive_dead_time: float | None,
     drive_period: float | None,
-    **arguments: Any,
+    job: Job,
 ) -> None:
     """Propose gains by every tuning rule, from the distorted point and from the right one.
 
@@ -49,23 +50,23 @@ def command(
     from commissioning.cli.identify import measure
     from commissioning.session.tune import DriveLoop, tune_run
 
-    json_target = arguments["json_target"]
+    json_target = job.json_target
     check_json(json_target)
-    screen = Screen(json_target, yes=arguments["yes"])
+    screen = Screen(json_target, yes=job.yes)
     run = target
     if is_target(target):
-        measured = measure(target, screen, {**arguments, "points": True})
-        if arguments["dry_run"]:
+        measured = measure(target, screen, replace(job, points=True))
+        if job.dry_run:
             write_json(measured, json_target)
             return
         show.summary(measured, screen)
-        run = measured["run"]
+        run = str(measured.run)
     else:
         _only_for_targets(context)
     drive = DriveLoop(drive_dead_time, drive_period)
     with (
         at_desk(screen) as desk,
-        failure_in_json(desk, run, json_target),
+        act_on(run, desk, screen, json_target),
         screen.working("every rule on the identified axis"),
     ):
         result, notes = tune_run(run, drive, desk)
@@ -73,10 +74,10 @@ def command(
     show.tuning(result, screen)
     for note in notes:
         screen.say(note)
-    for found in result["tuning"]:
-        if found["best"] and found["parameters"]:
-            screen.say(f"to write it: tworelay apply {result['run']} --gains {found['rule']}")
-    screen.say(f"run {result['run']}")
+    for found in result.tuning:
+        if found.best and found.parameters:
+            screen.say(f"to write it: tworelay apply {result.run} --gains {found.rule}")
+    show.ending(result, screen)
 
 
 _OF_A_RUN = {"target", "drive_dead_time", "drive_period", "json_target", "yes", "verbose"}

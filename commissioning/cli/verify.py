@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -10,12 +10,16 @@ from commissioning.cli.options import verbose
 from commissioning.cli.terminal import (
     Finite,
     Screen,
+    act_on,
     at_desk,
     check_json,
-    failure_in_json,
     travel_from,
     write_json,
 )
+
+if TYPE_CHECKING:
+    from commissioning.result.document import RunResult
+    from commissioning.session.verify import Wishes
 
 __all__ = ["command", "prove"]
 
@@ -34,31 +38,43 @@ __all__ = ["command", "prove"]
     "--json", "json_target", metavar="F", help="Result as JSON to F, '-' for standard output."
 )
 @verbose
-def command(run: str, link: str | None, yes: bool, json_target: str | None, **limits: Any) -> None:
+def command(
+    run: str,
+    link: str | None,
+    travel: str | None,
+    max_speed: float | None,
+    cycle: float | None,
+    without_watchdog: bool,
+    yes: bool,
+    json_target: str | None,
+) -> None:
     """Prove that RUN's compensation helps: the axis follows a slow motion without and with it.
 
     The compensation is raised in steps; the last one without harm stays in the drive and is stored, or none.
     """
+    from commissioning.cli import show
+    from commissioning.session.verify import Wishes
+
     check_json(json_target)
     screen = Screen(json_target, yes=yes)
-    limits["travel"] = travel_from(limits["travel"])
-    result = prove(run, link, screen, json_target, limits)
+    wishes = Wishes(travel_from(travel), max_speed, cycle, without_watchdog)
+    result = prove(run, link, screen, json_target, wishes)
     write_json(result, json_target)
-    screen.say(f"run {result['run']}")
+    show.ending(result, screen)
 
 
 def prove(
-    run: str, link: str | None, screen: Screen, json_target: str | None, limits: dict[str, Any]
-) -> dict[str, Any]:
+    run: str, link: str | None, screen: Screen, json_target: str | None, wishes: Wishes
+) -> RunResult:
     """Verify with the outcome shown; on failure write the JSON too, then raise."""
     from commissioning.cli import show
     from commissioning.session.verify import verify
 
     with (
         at_desk(screen) as desk,
-        failure_in_json(desk, run, json_target),
+        act_on(run, desk, screen, json_target),
         screen.working("verifying"),
     ):
-        result = verify(run, link, desk, limits)
+        result = verify(run, link, desk, wishes)
     show.verification(result, screen)
     return result

@@ -136,7 +136,7 @@ def serve_axis(
             "serve where? Give --modbus-tcp HOST:PORT, --modbus-rtu pty, --modbus-rtu-tcp HOST:PORT, "
             "--socketcand HOST:PORT or --slcan pty"
         )
-    served = configured(link.place, options)
+    served = configured(link.place, options, state or link.options.get("state"))
     for key in ("jitter", "loss", "stamp"):
         if getattr(served, key):
             raise UsageError(f"{key} is for virtual:// links: a served drive has its wire's own")

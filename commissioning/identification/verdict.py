@@ -6,21 +6,18 @@ makes it `rejected`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from commissioning.identification.lock_in import LockIn
 from commissioning.identification.modulating import SUSPICIOUS, ModulatingEstimate
+from commissioning.identification.reasons import Reason, Weight
 from commissioning.identification.record import Record, reversals
 
 __all__ = [
-    "Reason",
     "Units",
-    "Weight",
     "agreement",
     "dwell_share",
     "is_unsigned",
@@ -28,7 +25,6 @@ __all__ = [
     "of_modulating",
     "of_torque",
     "torque_gain",
-    "verdict",
     "within_short",
 ]
 
@@ -49,34 +45,12 @@ _FEW_PERIODS = 6.0
 _AGREE = 0.03  # of f
 
 
-class Weight(IntEnum):
-    """What a reason does to the verdict."""
-
-    NOTE = 0
-    DOUBT = 1
-    CONTRADICTION = 2
-
-
-@dataclass(frozen=True, slots=True)
-class Reason:
-    """One line for people, and its weight."""
-
-    weight: Weight
-    text: str
-
-
 @dataclass(frozen=True, slots=True)
 class Units:
     """Names of the units for messages."""
 
     position: str = "rad"
     effort: str = "N.m"
-
-
-def verdict(reasons: Sequence[Reason]) -> str:
-    """`good`, `usable` or `rejected`."""
-    worst = max((reason.weight for reason in reasons), default=Weight.NOTE)
-    return ("good", "usable", "rejected")[worst]
 
 
 def within_short(found: ModulatingEstimate) -> bool:
@@ -96,13 +70,14 @@ def of_modulating(found: ModulatingEstimate, units: Units) -> list[Reason]:
     reasons: list[Reason] = []
     e, p = units.effort, units.position
 
-    def add(weight: Weight, text: str) -> None:
-        reasons.append(Reason(weight, text))
+    def add(code: str, weight: Weight, text: str) -> None:
+        reasons.append(Reason(code, weight, text))
 
     f, law = found.coulomb, found.law
     left = found.held_out
     if not f.value > 0 or not found.inertia.value > 0:
         add(
+            "fit.impossible",
             Weight.CONTRADICTION,
             f"the fit gives a friction of {f.value:.3g} {e} and an inertia of "
             f"{found.inertia.value:.3g}: no axis moves like this; is the torque's sign or unit wrong?",
@@ -110,6 +85,7 @@ def of_modulating(found: ModulatingEstimate, units: Units) -> list[Reason]:
         return reasons
     if left > max(_REJECTED_LEFT, 3 * found.noise):
         add(
+            "fit.unexplained",
             Weight.CONTRADICTION,
             f"the equation of motion leaves {100 * left:.0f} % of the torque unexplained: the axis is "
             "elastic or has play, is moved by something else, or torque and position do not belong "
@@ -117,6 +93,7 @@ def of_modulating(found: ModulatingEstimate, units: Units) -> list[Reason]:
         )
     elif left > max(_LEFT, _BEYOND_NOISE * found.noise):
         add(
+            "fit.unexplained",
             Weight.DOUBT,
             f"{100 * left:.1f} % of the torque is unexplained: "
             + (
@@ -127,6 +104,7 @@ def of_modulating(found: ModulatingEstimate, units: Units) -> list[Reason]:
         )
     if found.lateness > SUSPICIOUS:
         add(
+            "fit.reversals",
             Weight.DOUBT,
             f"the reversals that fit best lie {100 * found.lateness:.0f} % of a sample from zero velocity: "
             "the friction law is incomplete, or the link too irregular for the period; a shorter --cycle "
@@ -134,37 +112,47 @@ def of_modulating(found: ModulatingEstimate, units: Units) -> list[Reason]:
         )
     if f.half_width > _REJECTED_WIDTH:
         add(
+            "interval.wide",
             Weight.CONTRADICTION,
             f"the interval of the friction, {f.low:.3g} … {f.high:.3g} {e}, is too wide to be of use: "
             "give the axis more torque, travel or periods",
         )
     elif f.half_width > _WIDE:
         add(
+            "interval.wide",
             Weight.DOUBT,
             f"the interval of the friction is wide: {f.low:.3g} … {f.high:.3g} {e}",
         )
     if found.halves > max(_HALVES, 2 * found.noise):
         add(
+            "periods.differ",
             Weight.DOUBT,
             f"odd and even periods differ by {100 * found.halves:.1f} % in friction: the axis changes "
             "while it is measured",
         )
     if found.condition > _CONDITION:
         add(
+            "coulomb-viscous",
             Weight.DOUBT,
             f"the record hardly tells Coulomb from viscous friction (condition {found.condition:.0f}): "
             "two oscillations of clearly different torque are needed",
         )
     if found.periods < _FEW_PERIODS:
-        add(Weight.DOUBT, f"only {found.periods:.1f} periods; {_FEW_PERIODS:g} are few enough")
+        add(
+            "periods.few",
+            Weight.DOUBT,
+            f"only {found.periods:.1f} periods; {_FEW_PERIODS:g} are few enough",
+        )
     if found.noise > 0.03:
         add(
+            "position.coarse",
             Weight.DOUBT,
             f"the position is coarse for this swing: its resolution alone hides "
             f"{100 * found.noise:.0f} % of the torque; a longer period or more travel helps",
         )
     if law.stribeck is not None:
         add(
+            "law.stribeck",
             Weight.NOTE,
             f"Stribeck effect: friction falls from about {found.low_speed:.3g} {e} at rest to "
             f"{f.value:.3g} {e} beyond {law.stribeck:.3g} {p}/s"
@@ -176,6 +164,7 @@ def of_modulating(found: ModulatingEstimate, units: Units) -> list[Reason]:
         )
     if law.soft is not None:
         add(
+            "law.soft",
             Weight.DOUBT,
             f"soft friction: it rises over {law.soft:.3g} {p}/s to its level instead of switching with "
             "the sign; compensation by the sign alone does too much at low speed",
@@ -183,12 +172,14 @@ def of_modulating(found: ModulatingEstimate, units: Units) -> list[Reason]:
     if law.load:
         c = float(found.coefficients[law.load_term])
         add(
+            "law.load",
             Weight.NOTE,
             f"friction grows with the torque, by {100 * c:.1f} % of it: the level is that without load",
         )
     if law.position is not None:
         size = float(np.hypot(*found.coefficients[-2:]))
         add(
+            "law.position",
             Weight.DOUBT,
             f"position-dependent torque of ±{size:.3g} {e} with a pitch of {law.position:.4g} {p}: cogging "
             "or the wobble of a screw or gear",
@@ -205,6 +196,7 @@ def of_lock_in(found: LockIn, resolution: float, units: Units) -> list[Reason]:
     if abs(third) > max(0.08, noise):
         reasons.append(
             Reason(
+                "balance.harmonics",
                 Weight.DOUBT,
                 f"harmonic 3 of the balance gives a friction {100 * third:+.0f} % from the "
                 "fundamental's: the axis is elastic, or its friction is not Coulomb-like",
@@ -213,6 +205,7 @@ def of_lock_in(found: LockIn, resolution: float, units: Units) -> list[Reason]:
     if f and found.coulomb.half_width > _REJECTED_WIDTH:
         reasons.append(
             Reason(
+                "interval.wide",
                 Weight.CONTRADICTION,
                 f"the balance gives {found.coulomb.low:.3g} … {found.coulomb.high:.3g} {units.effort}: "
                 "its periods differ too much to say more",
@@ -221,6 +214,7 @@ def of_lock_in(found: LockIn, resolution: float, units: Units) -> list[Reason]:
     if sum(found.rejected):
         reasons.append(
             Reason(
+                "balance.left-out",
                 Weight.NOTE,
                 f"{sum(found.rejected)} of {sum(found.periods) + sum(found.rejected)} periods were "
                 "left out: they do not obey the balance of the others (late or lost cycles)",
@@ -239,15 +233,18 @@ def agreement(fast: ModulatingEstimate, exact: LockIn, units: Units) -> Reason:
         f"{b.value:.4g} {units.effort}"
     )
     if apart <= allowed:
-        return Reason(Weight.NOTE, f"{told}: they agree")
+        return Reason("methods.agree", Weight.NOTE, f"{told}: they agree")
     if fast.law.rungs:
         return Reason(
+            "methods.agree",
             Weight.NOTE,
             f"{told}: the balance means over the torques and speeds of its tests, the law above says how "
             "friction goes with them",
         )
     return Reason(
-        Weight.DOUBT, f"{told}: they disagree, so the axis is not rigid with Coulomb friction"
+        "methods.agree",
+        Weight.DOUBT,
+        f"{told}: they disagree, so the axis is not rigid with Coulomb friction",
     )
 
 
@@ -260,6 +257,7 @@ def of_torque(
         weight = Weight.CONTRADICTION if abs(gain - 1) > 0.3 else Weight.DOUBT
         reasons.append(
             Reason(
+                "torque.scale",
                 weight,
                 f"the drive measures {100 * gain:.0f} % of the torque that is commanded: it limits, or "
                 "its torque scale is wrong",
@@ -269,6 +267,7 @@ def of_torque(
         weight = Weight.CONTRADICTION if dwell > _MUCH_DWELL else Weight.DOUBT
         reasons.append(
             Reason(
+                "axis.sticks",
                 weight,
                 f"the axis rests at its reversals for {100 * dwell:.0f} % of the time: it sticks; "
                 "a larger torque (--max-torque) takes it through",
@@ -278,6 +277,7 @@ def of_torque(
     if counts < _COARSE:
         reasons.append(
             Reason(
+                "position.coarse",
                 Weight.CONTRADICTION if counts < _TOO_COARSE else Weight.DOUBT,
                 f"the smaller oscillation has a half-swing of {counts:.0f} encoder counts; "
                 f"{_COARSE} are needed for a fine result: give more --travel",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib as mpl
@@ -13,7 +13,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from commissioning.identification.describing_function import equivalent, inverse_locus, relay
-from commissioning.runs import Samples
+from commissioning.result.document import Cycle, GainSet, RunResult, Units, Verification
+from commissioning.result.words import number
+from commissioning.runs import Array, Samples
 from commissioning.tuning.margins import LEAST_MARGIN
 
 __all__ = [
@@ -22,6 +24,7 @@ __all__ = [
     "loci",
     "loci_svg",
     "nyquist",
+    "oscillations",
     "overview",
     "phase_plane",
     "tests_over_time",
@@ -48,24 +51,24 @@ _SHOWN_PERIODS = 3
 _MOST_POINTS = 4000
 
 
-def overview(samples: Samples, units: dict[str, str]) -> str:
+def overview(samples: Samples, units: Units) -> str:
     """Position and torque over the whole run, with its phases."""
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(9.2, 3.6), layout="constrained")
         top, bottom = figure.subplots(2, 1, sharex=True)
         step = max(1, len(samples) // _MOST_POINTS)
-        time = samples["time"][::step]
-        top.plot(time, samples["position"][::step], color=BLUE, lw=0.7)
-        top.set_ylabel(f"position in {units['position']}")
-        bottom.plot(time, samples["command"][::step], color=ORANGE, lw=0.5)
-        bottom.set_ylabel(f"torque in {units['effort']}")
+        time = samples.time[::step]
+        top.plot(time, samples.position[::step], color=BLUE, lw=0.7)
+        top.set_ylabel(f"position in {units.position}")
+        bottom.plot(time, samples.command[::step], color=ORANGE, lw=0.5)
+        bottom.set_ylabel(f"torque in {units.effort}")
         bottom.set_xlabel("time in s")
         number = 0
         for index, text in samples.phases:
             if index >= len(samples) or not _is_stage(text):
                 continue
             number += 1
-            at = samples["time"][index]
+            at = samples.time[index]
             for axes in (top, bottom):
                 axes.axvline(at, color=GREY, lw=0.6, ls=":")
             top.annotate(
@@ -78,7 +81,7 @@ def overview(samples: Samples, units: dict[str, str]) -> str:
 def stages(samples: Samples) -> list[tuple[float, str]]:
     """Begin (s) and text of the phases that `overview` numbers."""
     return [
-        (float(samples["time"][index]), text)
+        (float(samples.time[index]), text)
         for index, text in samples.phases
         if index < len(samples) and _is_stage(text)
     ]
@@ -88,92 +91,99 @@ def _is_stage(text: str) -> bool:
     return not text.startswith(("staging", "relay test 2, ", "stop path", "a dozen periods"))
 
 
-def tests_over_time(samples: Samples, result: dict[str, Any]) -> str:
+def tests_over_time(samples: Samples, result: RunResult) -> str:
     """Position, torque and velocity over some periods of both oscillations."""
-    units = result["units"]
+    units = result.units
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(9.2, 5.4), layout="constrained")
         grid = figure.subplots(3, 2, sharex="col", sharey="row")
-        for column, (begin, end) in enumerate(result["experiment"]["spans"]):
-            cut, period = _window(samples, result, column, begin, end)
-            time = (samples["time"][cut] - samples["time"][cut][0]) * 1000
-            position, command = samples["position"][cut], samples["command"][cut]
+        for column, cycle in enumerate(oscillations(result)):
+            cut = _window(samples, cycle)
+            time = (samples.time[cut] - samples.time[cut][0]) * 1000
+            position, command = samples.position[cut], samples.command[cut]
             grid[0, column].plot(time, position, color=BLUE, lw=1.3)
             grid[1, column].step(time, command, color=ORANGE, lw=1.1, where="pre", label="command")
-            torque = samples["torque"][cut]
+            torque = samples.torque[cut]
             if np.isfinite(torque).any():
                 grid[1, column].plot(
                     time, torque, color=GREY, lw=0.9, ls="--", label="measured by the drive"
                 )
             grid[2, column].plot(time, _velocity(samples, cut), color=GREEN, lw=1.1)
-            name = result["experiment"]["cycles"][column]["name"]
-            grid[0, column].set_title(f"{name}: period {period * 1000:.4g} ms")
+            grid[0, column].set_title(f"{cycle.name}: period {cycle.period * 1000:.4g} ms")
             grid[2, column].set_xlabel("time in ms")
-        p, e = units["position"], units["effort"]
+        p, e = units.position, units.effort
         for row, label in enumerate((f"position in {p}", f"torque in {e}", f"velocity in {p}/s")):
             grid[row, 0].set_ylabel(label)
         grid[1, 0].legend(loc="upper right", fontsize=8)
         return _svg(figure)
 
 
-def phase_plane(samples: Samples, result: dict[str, Any]) -> str:
+def oscillations(result: RunResult) -> tuple[Cycle, ...]:
+    """One oscillation at each of the two amplitudes; empty where the run did not get there."""
+    cycles = result.experiment.cycles if result.experiment else ()
+    return cycles[:2] if len(cycles) >= 2 else ()
+
+
+def phase_plane(samples: Samples, result: RunResult) -> str:
     """Velocity over position of both oscillations."""
-    units = result["units"]
-    cycles = result["experiment"]["cycles"]
+    units = result.units
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(4.5, 3.9), layout="constrained")
         axes = figure.subplots()
-        for n, (begin, end) in enumerate(result["experiment"]["spans"]):
-            cut, _ = _window(samples, result, n, begin, end)
+        for n, cycle in enumerate(oscillations(result)):
+            cut = _window(samples, cycle)
             axes.plot(
-                samples["position"][cut], _velocity(samples, cut), lw=1.0,
+                samples.position[cut], _velocity(samples, cut), lw=1.0,
                 color=(BLUE, ORANGE)[n], ls=("-", "--")[n],
-                label=f"d = ±{cycles[n]['relay_amplitude']:.3g} {units['effort']}",
+                label=f"d = ±{number(cycle.relay_amplitude, units.effort)}",
             )  # fmt: skip
-        axes.set_xlabel(f"position in {units['position']}")
-        axes.set_ylabel(f"velocity in {units['position']}/s")
+        axes.set_xlabel(f"position in {units.position}")
+        axes.set_ylabel(f"velocity in {units.position}/s")
         axes.legend(loc="upper right", fontsize=8)
         return _svg(figure)
 
 
-def nyquist(result: dict[str, Any]) -> str:
+def nyquist(result: RunResult) -> str:
     """The −1/N loci of the relay tests, without and with friction, and the three readings of G."""
-    cycles, points = result["experiment"]["cycles"], result["critical_point"]
-    coulomb = complex(*result["experiment"]["complex_coulomb"])
+    points, watched = result.critical_point, result.experiment
+    assert points is not None
+    assert watched is not None
+    coulomb = complex(*(watched.complex_coulomb or (0.0, 0.0)))
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(4.7, 3.9), layout="constrained")
         axes = figure.subplots()
-        for n in (0, 1):
-            d, eps = cycles[n]["relay_amplitude"], cycles[n]["hysteresis"]
-            if eps is None:  # an oscillator is no relay and has no locus
-                continue
-            swings = np.linspace(eps * (1 + 1e-9), 2.2 * cycles[n]["half_swing"], 300)
+        for n, cycle in enumerate(oscillations(result)):
+            d, eps, half_swing = cycle.relay_amplitude, cycle.hysteresis, cycle.half_swing
+            if d is None or eps is None or half_swing is None:
+                continue  # an oscillator is no relay and has no locus
+            swings = np.linspace(eps * (1 + 1e-9), 2.2 * half_swing, 300)
             without = -1 / relay(swings, d, eps)
             with_friction = -1 / equivalent(swings, d, eps, coulomb)
             color = (BLUE, ORANGE)[n]
             name = f"d{n + 1}"
             _locus(axes, without, color, ":", f"−1/N, relay {name} alone")
             _locus(axes, with_friction, color, "-", f"−1/N, relay {name} and friction")
+        largest = 0.0
         for key, marker, label in (
             ("naive", "x", "naive"),
             ("hysteresis", "s", "hysteresis only"),
             ("corrected", "o", "corrected"),
         ):
-            point = points[key]
+            point = points.point(key)
             if point is None:
                 continue
-            angle = np.radians(point["phase_deg"])
+            angle = np.radians(point.phase_deg)
             axes.plot(
-                point["gain"] * np.cos(angle), point["gain"] * np.sin(angle), marker=marker, ls="",
+                point.gain * np.cos(angle), point.gain * np.sin(angle), marker=marker, ls="",
                 ms=7, mfc="none", mew=1.6, color="black", label=f"G(jω), {label}",
             )  # fmt: skip
-        largest = 1.6 * max(points[key]["gain"] for key in ("naive", "corrected") if points[key])
+            largest = max(largest, 1.6 * point.gain)
         axes.set_xlim(-largest, 0.15 * largest)
         axes.set_ylim(-0.75 * largest, 0.55 * largest)
         axes.axhline(0, color=GREY, lw=0.8)
         axes.axvline(0, color=GREY, lw=0.8)
-        axes.set_xlabel(f"real part in {result['units']['gain']}")
-        axes.set_ylabel(f"imaginary part in {result['units']['gain']}")
+        axes.set_xlabel(f"real part in {result.units.gain}")
+        axes.set_ylabel(f"imaginary part in {result.units.gain}")
         axes.legend(loc="lower left", fontsize=6.5)
         return _svg(figure)
 
@@ -183,20 +193,24 @@ _DASHES = ("-", "--", "-.")
 
 
 def loci(
-    result: dict[str, Any], amplitude: float | None = None, hysteresis: float | None = None
+    result: RunResult, amplitude: float | None = None, hysteresis: float | None = None
 ) -> Figure:
     """The thesis' Figures 4, 5 and 6 for this axis: the loci −1/N beside the identified G.
 
     −1/N over the amplitude d without hysteresis, over d with one hysteresis, and over the hysteresis with
     one d (half of the relay's swing, N.m or N; half-width, rad or m). Default: those of the run's relay.
+
+    Raises ValueError where the run has no oscillation, no point or no friction.
     """
-    relay_test = result["experiment"]["cycles"][0]
-    f = result["friction"]["coulomb"]["value"]
-    d = amplitude or relay_test["relay_amplitude"]
-    eps = hysteresis or relay_test["hysteresis"] or 0.0
-    gain, effort = result["units"]["gain"], result["units"]["effort"]
-    around = result["critical_point"]["corrected"] or result["critical_point"]["naive"]
-    largest = 2.0 * around["gain"]
+    shown, points, coulomb = oscillations(result), result.critical_point, result.friction.coulomb
+    around = None if points is None else points.corrected or points.naive
+    if not shown or around is None or coulomb is None:
+        raise ValueError("no oscillation, no point of the plant or no friction")
+    f = coulomb.value
+    d = amplitude or shown[0].relay_amplitude or f
+    eps = hysteresis or shown[0].hysteresis or 0.0
+    gain, effort = result.units.gain, result.units.effort
+    largest = 2.0 * around.gain
     amplitudes = [m * f for m in _MULTIPLES]
     panels: list[tuple[str, list[tuple[float, float]], str]] = [
         ("Figure 4: over d, ε = 0", [(x, 0.0) for x in amplitudes], f"d = {{d:.3g}} {effort}"),
@@ -208,7 +222,7 @@ def loci(
         (
             f"Figure 6: over ε, d = {d:.3g}",
             [(d, m * eps) for m in (0.5, 1.0, 2.0)],
-            f"ε = {{e:.3g}} {result['units']['position']}",
+            f"ε = {{e:.3g}} {result.units.position}",
         ),
     ]
     with mpl.rc_context(_STYLE):
@@ -237,32 +251,32 @@ def _furthest(largest: float, d: float, f: float) -> float:
     return 1.5 * largest * 4 / np.pi * float(np.hypot(d, f))
 
 
-def _identified(axes: Axes, result: dict[str, Any], largest: float) -> None:
+def _identified(axes: Axes, result: RunResult, largest: float) -> None:
     """G(jω) of the identified rigid axis, and where the relay's own frequency lies on it."""
-    friction = result["friction"]
-    j, b, tau = (friction[name]["value"] or 0.0 for name in ("inertia", "viscous", "dead_time"))
-    if not j:
+    found = result.friction
+    j, b, tau = (q.value if q else 0.0 for q in (found.inertia, found.viscous, found.dead_time))
+    if not j > 0:
         return
     low = 0.3 * float(np.sqrt(1 / (j * 2 * largest)))
     s = 1j * np.geomspace(low, 100 * low, 600)
     g = np.exp(-s * tau) / (j * s**2 + b * s)
     axes.plot(g.real, g.imag, color="black", lw=1.4, label="G(jω), identified")
-    point = result["critical_point"]["corrected"]
+    point = result.critical_point.corrected if result.critical_point else None
     if point:
-        z = point["gain"] * np.exp(1j * np.radians(point["phase_deg"]))
+        z = point.gain * np.exp(1j * np.radians(point.phase_deg))
         axes.plot(z.real, z.imag, "o", mfc="none", mew=1.4, ms=6, color="black", ls="",
                   label="G, relay test corrected")  # fmt: skip
 
 
-def loci_svg(result: dict[str, Any]) -> str:
+def loci_svg(result: RunResult) -> str:
     """`loci` for the report."""
     return _svg(loci(result))
 
 
-def tuning(result: dict[str, Any], loop: str) -> str:
+def tuning(result: RunResult, loop: str, curves: Mapping[str, Array]) -> str:
     """Phase margin of each rule, naive against corrected, and a step with friction."""
-    sets = [s for s in result["tuning"] if s["loop"] == loop and s["gains"]]
-    rules = list(dict.fromkeys(s["rule"] for s in sets))
+    sets = [s for s in result.of_loop(loop) if s.gains]
+    rules = list(dict.fromkeys(s.rule for s in sets))
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(9.6, 0.3 * len(rules) + 1.3), layout="constrained")
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.1))
@@ -270,21 +284,21 @@ def tuning(result: dict[str, Any], loop: str) -> str:
             _MARGIN_RANGE[0], LEAST_MARGIN, color="#e8e8e8", hatch="//", ec="#cccccc", lw=0
         )
         for y, rule in enumerate(reversed(rules)):
-            found = {s["source"]: s for s in sets if s["rule"] == rule}
-            ends = {k: _clipped(s["phase_margin_deg"]) for k, s in found.items()}
+            found = {s.source: s for s in sets if s.rule == rule}
+            ends = {k: _clipped(s.phase_margin_deg) for k, s in found.items()}
             if len(ends) == 2:
                 left.plot(list(ends.values()), [y, y], color=GREY, lw=1)
             for source, x in ends.items():
                 marker, face = ("x", "black") if source == "naive" else ("o", BLUE)
                 left.plot(x, y, marker=marker, color=face, ms=6, mew=1.5, ls="")
-                if source == "corrected" and found[source]["proposed"]:
+                if source == "corrected" and found[source].proposed:
                     left.plot(x, y, marker="o", ms=11, mfc="none", color=BLUE, ls="")
         left.set_yticks(range(len(rules)), list(reversed(rules)), fontsize=8)
         left.set_xlim(*_MARGIN_RANGE)
         left.set_ylim(-0.7, len(rules) - 0.3)
         left.set_xlabel("phase margin in degrees (below 0: unstable)")
         left.set_title("× naive    ● corrected    ◎ proposed    grey: too little", fontsize=8)
-        _steps(right, sets, result["units"]["position"])
+        _steps(right, sets, result.units.position, curves)
         return _svg(figure)
 
 
@@ -297,23 +311,25 @@ def _clipped(value: float | None) -> float:
     )
 
 
-def _steps(axes: Axes, sets: Sequence[dict[str, Any]], unit: str) -> None:
+def _steps(axes: Axes, sets: Sequence[GainSet], unit: str, curves: Mapping[str, Array]) -> None:
     """The best set, and the rule that takes the distorted point as it is, naive beside corrected."""
-    best = next((s["rule"] for s in sets if s["best"]), None)
+    best = next((s.rule for s in sets if s.best), None)
     longest = size = 0.0
     for rule, color in ((best, BLUE), ("astrom-hagglund", ORANGE)):
         for item in sets:
-            step = item["step"]
-            if item["rule"] != rule or step is None or (color == ORANGE and rule == best):
+            step, curve = item.step, curves.get(f"step.{item.name}")
+            if item.rule != rule or step is None or (color == ORANGE and rule == best):
                 continue
-            naive = item["source"] == "naive"
+            if curve is None or len(curve) != 2 or not curve.size:
+                continue
+            time, position = curve
+            naive = item.source == "naive"
             axes.plot(
-                np.array(step["time"]) * 1000, step["position"], color=color, lw=1.1 if naive else 1.7,
-                ls="--" if naive else "-", label=f"{rule}, {item['source']}",
+                time * 1000, position, color=color, lw=1.1 if naive else 1.7,
+                ls="--" if naive else "-", label=f"{rule}, {item.source}",
             )  # fmt: skip
-            size = step["size"]
-            ends = step["settling"] or step["time"][-1]
-            longest = max(longest, min(1.6 * ends, step["time"][-1]))
+            size = step.size
+            longest = max(longest, min(1.6 * (step.settling or time[-1]), time[-1]))
     if not size:
         axes.set_axis_off()
         return
@@ -326,43 +342,46 @@ def _steps(axes: Axes, sets: Sequence[dict[str, Any]], unit: str) -> None:
     axes.legend(loc="upper right", fontsize=7)
 
 
-def friction_curve(result: dict[str, Any]) -> str:
+def friction_curve(result: RunResult) -> str:
     """Friction against speed by the law that was found, Coulomb level and interval beside it."""
-    units, friction = result["units"], result["friction"]
-    curve = result["methods"]["modulating"]["curve"]
-    speed, level = np.array(curve["speed"]), np.array(curve["friction"])
+    units, f, curve = result.units, result.friction.coulomb, result.friction.curve
+    assert curve is not None
+    speed, level = np.array(curve.speed), np.array(curve.friction)
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(4.7, 3.3), layout="constrained")
         axes = figure.subplots()
         axes.plot(speed, level, color=BLUE, lw=1.6, label="friction, mean of both directions")
-        f = friction["coulomb"]
-        axes.axhline(f["value"], color=ORANGE, lw=1.1, ls="--", label="Coulomb friction")
-        axes.axhspan(f["low"], f["high"], color=ORANGE, alpha=0.2, lw=0)
-        axes.set_ylim(0, 1.15 * max(level.max(), f["high"]))
+        top = level.max()
+        if curve.low and curve.high:
+            axes.fill_between(speed, curve.low, curve.high, color=BLUE, alpha=0.2, lw=0)
+        if f is not None:
+            axes.axhline(f.value, color=ORANGE, lw=1.1, ls="--", label="Coulomb friction")
+            if f.low is not None and f.high is not None:
+                axes.axhspan(f.low, f.high, color=ORANGE, alpha=0.2, lw=0)
+            top = max(top, f.high or f.value)
+        axes.set_ylim(0, 1.15 * top)
         axes.set_xlim(0, speed[-1])
-        axes.set_xlabel(f"speed in {units['position']}/s")
-        axes.set_ylabel(f"friction in {units['effort']}")
+        axes.set_xlabel(f"speed in {units.position}/s")
+        axes.set_ylabel(f"friction in {units.effort}")
         axes.legend(loc="lower right", fontsize=8)
         return _svg(figure)
 
 
-def following(result: dict[str, Any]) -> str:
-    """Following error after reversals, without compensation and with what stays."""
-    found = result["verification"]
-    steps = found["steps"]
-    after = next((step for step in steps if step["kept"]), steps[-1])
+def following(found: Verification, curves: Mapping[str, Array]) -> str:
+    """Following error after reversals, without compensation and with what stays; '' without a record."""
+    kept = next((n for n, step in enumerate(found.steps) if step.kept), len(found.steps) - 1)
+    before, after = (curves.get(f"verify.{n}") for n in (0, kept))
+    if before is None or after is None or len(before) != 3 or len(after) != 3:
+        return ""
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(9.2, 3.6), layout="constrained")
         top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1, 2))
-        before = steps[0]["trace"]
-        top.plot(before["time"], before["command"], color=GREY, lw=1.0)
-        top.set_ylabel(f"command, {found['unit']}")
-        bottom.plot(before["time"], before["error"], color=ORANGE, lw=1.0, ls="--", label="without")
-        trace, share = after["trace"], 100 * after["fraction"]
-        bottom.plot(
-            trace["time"], trace["error"], color=BLUE, lw=1.3, label=f"{share:g} % compensated"
-        )
-        bottom.set_ylabel(f"error, {found['unit']}")
+        top.plot(before[0], before[1], color=GREY, lw=1.0)
+        top.set_ylabel(f"command, {found.unit}")
+        bottom.plot(before[0], before[2], color=ORANGE, lw=1.0, ls="--", label="without")
+        share = 100 * found.steps[kept].fraction
+        bottom.plot(after[0], after[2], color=BLUE, lw=1.3, label=f"{share:g} % compensated")
+        bottom.set_ylabel(f"error, {found.unit}")
         bottom.set_xlabel("time in s")
         bottom.legend(loc="upper right", ncols=2)
         return _svg(figure)
@@ -372,19 +391,16 @@ def _locus(axes: Axes, values: NDArray[Any], color: str, dash: str, label: str) 
     axes.plot(values.real, values.imag, color=color, ls=dash, lw=1.2, label=label)
 
 
-def _window(
-    samples: Samples, result: dict[str, Any], test: int, begin: float, end: float
-) -> tuple[NDArray[np.intp], float]:
-    """Indices of the last few periods of a test, and its period in s."""
-    period = result["experiment"]["cycles"][test]["period"]
-    first = max(begin, end - _SHOWN_PERIODS * period)
-    time = samples["time"]
-    return np.flatnonzero((time >= first) & (time <= end)), period
+def _window(samples: Samples, cycle: Cycle) -> NDArray[np.intp]:
+    """Indices of the last few periods of an oscillation."""
+    first = max(cycle.begin, cycle.end - _SHOWN_PERIODS * cycle.period)
+    time = samples.time
+    return np.flatnonzero((time >= first) & (time <= cycle.end))
 
 
 def _velocity(samples: Samples, cut: Sequence[int] | NDArray[np.intp]) -> NDArray[np.float64]:
     """Velocity by central differences over the record's own time stamps."""
-    time, position = samples["time"][cut], samples["position"][cut]
+    time, position = samples.time[cut], samples.position[cut]
     gradient: NDArray[np.float64] = np.gradient(position, time)
     return gradient
 

@@ -3,81 +3,123 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from importlib.resources import files
-from typing import Any
 
+import jinja2
+import markupsafe
+import numpy as np
+
+from commissioning.records import History
+from commissioning.report import figures
 from commissioning.report.quiet import quiet
-from commissioning.report.words import GAINS, duration, host_law
+from commissioning.result import words
+from commissioning.result.codec import printable
+from commissioning.result.document import LOOPS, POINTS, QUANTITIES, RunResult
 from commissioning.runs import Samples
 from profiles.errors import UsageError
-from profiles.plain import plain, plain_tree
+from profiles.plain import plain
 
 __all__ = ["render"]
 
+_POINTS = {
+    "naive": "naive: what a relay autotuner concludes",
+    "hysteresis": "with the relay's hysteresis only",
+    "corrected": "with hysteresis and friction",
+    "measured": "the same period, another amplitude",
+    "at_180": "where the phase is −180°",
+    "at_135": "where the phase is −135°",
+}
+_QUANTITIES = {
+    "coulomb": "Coulomb friction, mean of both directions",
+    "offset": "Offset: load, and half of what the directions differ",
+    "viscous": "Viscous friction",
+    "inertia": "Inertia",
+    "dead_time": "Dead time",
+}
 
-def render(result: dict[str, Any], samples: Samples | None, journal: dict[str, Any]) -> str:
+
+def render(result: RunResult, samples: Samples | None, history: History) -> str:
     """HTML text of the report; everything in it that is not ours is escaped.
 
-    Raises UsageError when the result is not what tworelay writes.
+    Raises UsageError when its numbers make no picture.
     """
-    import jinja2
-    import numpy as np
-
-    result, journal = plain_tree(result), plain_tree(journal)
-    if samples is not None:
-        samples = Samples(samples.columns, [(at, plain(text)) for at, text in samples.phases])
+    result = printable(result)
     try:
         with np.errstate(divide="raise", invalid="raise", over="raise"), quiet():
-            return _render(result, samples, journal)
-    except (jinja2.UndefinedError, LookupError, TypeError, ValueError, ArithmeticError) as error:
+            return _render(result, samples, history)
+    except (LookupError, ValueError, ArithmeticError) as error:
         raise UsageError(
-            f"run {result.get('run')}: its run.json is damaged or not ours "
-            f"({type(error).__name__}: {error})"
+            f"run {result.run}: its numbers make no report ({type(error).__name__}: {error})"
         ) from None
 
 
-def _render(result: dict[str, Any], samples: Samples | None, journal: dict[str, Any]) -> str:
-    import jinja2
-    import markupsafe
+def _pictures(result: RunResult, samples: Samples | None) -> Iterator[tuple[str, str]]:
+    """Name and SVG of what there is to be seen."""
+    curves = {} if samples is None else samples.curves
+    if samples is not None and len(samples) > 1:
+        yield "overview", figures.overview(samples, result.units)
+        if figures.oscillations(result):
+            yield "tests", figures.tests_over_time(samples, result)
+            yield "phase_plane", figures.phase_plane(samples, result)
+    if result.friction.curve is not None:
+        yield "curve", figures.friction_curve(result)
+    if figures.oscillations(result) and result.critical_point and result.friction.coulomb:
+        yield "nyquist", figures.nyquist(result)
+        yield "loci", figures.loci_svg(result)
+    if result.verification is not None:
+        yield "verification", figures.following(result.verification, curves)
+    for loop in LOOPS:
+        if any(one.gains for one in result.of_loop(loop)):
+            yield f"tuning_{loop}", figures.tuning(result, loop, curves)
 
-    from commissioning.report import figures
 
-    pictures: dict[str, markupsafe.Markup] = {}
+def _render(result: RunResult, samples: Samples | None, history: History) -> str:
     stages: list[tuple[float, str]] = []
     if samples is not None and len(samples) > 1:
-        pictures["overview"] = markupsafe.Markup(figures.overview(samples, result["units"]))  # noqa: S704
+        samples.phases = [(at, plain(text)) for at, text in samples.phases]
         stages = figures.stages(samples)
-        if result["methods"]:
-            pictures["tests"] = markupsafe.Markup(figures.tests_over_time(samples, result))  # noqa: S704
-            pictures["phase_plane"] = markupsafe.Markup(figures.phase_plane(samples, result))  # noqa: S704
-            if "modulating" in result["methods"]:
-                pictures["curve"] = markupsafe.Markup(figures.friction_curve(result))  # noqa: S704
-            pictures["nyquist"] = markupsafe.Markup(figures.nyquist(result))  # noqa: S704
-            pictures["loci"] = markupsafe.Markup(figures.loci_svg(result))  # noqa: S704
-    if result.get("verification"):
-        pictures["verification"] = markupsafe.Markup(figures.following(result))  # noqa: S704
-    for loop in dict.fromkeys(item["loop"] for item in result["tuning"]):
-        pictures[f"tuning_{loop}"] = markupsafe.Markup(figures.tuning(result, loop))  # noqa: S704
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["si"] = _si
-    environment.filters["seconds"] = duration
-    environment.filters["host_law"] = host_law
-    environment.filters["brief"] = lambda value: "–" if value is None else f"{value:.3g}"
-    environment.tests["search"] = lambda text, part: part in text
-    environment.globals["gain_names"] = GAINS
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        finalize=_plain,
+    )  # fmt: skip
+    environment.filters |= {"si": _si, "seconds": words.duration, "brief": _brief}
+    environment.tests |= {"search": lambda text, part: part in text}
     template = environment.from_string(
         (files("commissioning.report") / "report.html.j2").read_text("utf-8")
     )
-    created = time.strftime("%Y-%m-%d %H:%M", time.localtime(journal["run"]["created"]))
+    created = time.strftime("%Y-%m-%d %H:%M", time.localtime(history.run.created))
     return template.render(
-        r=result, pictures=pictures, stages=stages, journal=journal, created=created
+        r=result,
+        history=history,
+        created=created,
+        stages=stages,
+        pictures={
+            name: markupsafe.Markup(svg)  # noqa: S704
+            for name, svg in _pictures(result, samples)
+            if svg
+        },
+        quantities=[(_QUANTITIES[key], result.friction.quantity(key)) for key in QUANTITIES],
+        points=[
+            (_POINTS[key], point)
+            for key in POINTS
+            if result.critical_point and (point := result.critical_point.point(key))
+        ],
+        loops=[(loop, words.LOOP_TITLES[loop], result.of_loop(loop)) for loop in LOOPS],
+        words=words,
     )
+
+
+def _brief(value: float | None) -> str:
+    """Three digits, or a dash."""
+    return "–" if value is None else f"{value:.3g}"
+
+
+def _plain(value: object) -> object:
+    """Texts of others act on no browser, either."""
+    return plain(value) if type(value) is str else value
 
 
 def _si(value: float | None, unit: str = "") -> str:
     """Four digits and the unit, or a dash."""
-    if value is None:
-        return "–"
-    return f"{value:.4g} {unit.replace('.', '·').replace('kg·m2', 'kg·m²')}".strip()
+    return words.number(value, words.unit(unit))

@@ -10,8 +10,9 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from commissioning.records import History, Intent
+from commissioning.result.document import RunResult
 from commissioning.runs import RunFolder, resolve
 from commissioning.session.apply import axis_of_run
 from commissioning.session.desk import Desk
@@ -37,14 +38,14 @@ class Adopted:
     ----------
     run, axis, serial : as the run says; what the axis says scales torques and positions
     profile : the one known here
-    intents : rows of the journal: kind, parameter, old, new, state
+    intents : what it wrote, by its journal
     """
 
     run: str
     axis: Axis
     serial: str
     profile: Profile
-    intents: list[dict[str, Any]]
+    intents: tuple[Intent, ...]
 
 
 def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted], None]) -> str:
@@ -59,8 +60,9 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
             f"{path}: is no folder of an exported run; 'tworelay export RUN DIR' makes one"
         )
     run, folder = resolve(desk.journal, str(path))
-    tree = folder.exported
-    assert tree is not None
+    history = folder.exported
+    assert history is not None
+    record = history.run
     if not _ID.fullmatch(run) or run.endswith((".", ".toml")):
         raise UsageError(f"{path}: '{run:.100}' is no id of a run")
     if desk.journal.knows(run):
@@ -71,19 +73,21 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
         raise Refused(
             f"{target.path}: is there, of a run that the journal does not know: move it away"
         )
-    record = tree["run"]
-    for key, there in (("run", run), ("axis", record["axis"]), ("link", record["link"])):
-        if result[key] != there:
+    named = (
+        ("run", result.run, run), ("axis", result.axis, record.axis), ("link", result.link, record.link)
+    )  # fmt: skip
+    for key, told, there in named:
+        if told != there:
             raise UsageError(
                 f"{path}: its result and its journal are of two runs ('{key}' differs)"
             )
-    axis = axis_of_run(folder.record(desk.journal, run), folder, record["link"])
-    check_files_of_others(record["link"], "state")
-    if axis.name != record["axis"]:
+    axis = axis_of_run(record, folder, record.link)
+    check_files_of_others(record.link, "state")
+    if axis.name != record.axis:
         raise UsageError(f"{path}: its axis is named otherwise than its run")
     name, here = _known_here(profile, result, path)
     theirs = _of_the_run(folder, path)
-    found = _differences(tree["intents"], result, theirs, here) or _impossible(tree, result, here)
+    found = _differences(history, result, theirs, here) or _impossible(history, result, here)
     if found:
         raise Refused(
             f"{path}: not taken in, it differs from profile '{here.name}' as it is known here: "
@@ -91,22 +95,22 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
             + (f"; and {len(found) - _SHOWN} more" if found[_SHOWN:] else "")
         )
     samples = folder.samples()
-    show(Adopted(run, axis, record["serial"], here, tree["intents"]))
+    show(Adopted(run, axis, record.serial, here, history.intents))
     desk.agree(
         "This run of another computer will be TAKEN IN: 'apply', 'verify' and 'restore' then write to the "
-        f"drive of axis '{record['axis']}' by it.",
-        record["axis"],
+        f"drive of axis '{record.axis}' by it.",
+        record.axis,
         "it was not taken in",
     )
     target.save(result, samples, source_text(name))
-    return desk.journal.adopt(tree, str(path))
+    return desk.journal.adopt(history)
 
 
-def _known_here(profile: str | None, result: dict[str, Any], path: Path) -> tuple[str, Profile]:
+def _known_here(profile: str | None, result: RunResult, path: Path) -> tuple[str, Profile]:
     """The drive's profile, and what it is loaded by: not the one that lies in the folder."""
     if profile is not None:
         return profile, load_profile(profile)
-    name = (result["profile"] or {}).get("name", "")
+    name = result.profile.name if result.profile else ""
     try:
         if "/" in name or "\\" in name or name.endswith(".toml"):
             raise UnknownName("profile", name, [])
@@ -125,14 +129,11 @@ def _of_the_run(folder: RunFolder, path: Path) -> Profile:
         raise Refused(f"{path}: not taken in, its own profile cannot be read: {error}") from None
 
 
-def _differences(
-    intents: list[dict[str, Any]], result: dict[str, Any], theirs: Profile, here: Profile
-) -> list[str]:
+def _differences(history: History, result: RunResult, theirs: Profile, here: Profile) -> list[str]:
     """What the run would write otherwise than the profile known here says, by name."""
-    wanted = {(i["parameter"], i["kind"]) for i in intents}
-    wanted |= {(change["parameter"], "compensation") for change in result["compensation"]}
-    sets = (item["parameters"] for item in result["tuning"])
-    wanted |= {(change["parameter"], "gain") for item in sets for change in item}
+    wanted: set[tuple[str, str]] = {(i.parameter, i.kind) for i in history.intents}
+    wanted |= {(change.parameter, "compensation") for change in result.compensation}
+    wanted |= {(change.parameter, "gain") for one in result.tuning for change in one.parameters}
     known = commands_of(here)
     found = []
     for name, kind in sorted(wanted):
@@ -156,10 +157,10 @@ def _differences(
     return found
 
 
-def _impossible(tree: dict[str, Any], result: dict[str, Any], here: Profile) -> list[str]:
+def _impossible(history: History, result: RunResult, here: Profile) -> list[str]:
     """Values that the profile known here does not let be written."""
-    values = [(i["parameter"], i["old"]) for i in tree["intents"] if i["state"] != "restored"]
-    values += [(change["parameter"], change["new_raw"]) for change in result["compensation"]]
+    values = [(i.parameter, i.old) for i in history.intents if i.is_open]
+    values += [(change.parameter, change.new_raw) for change in result.compensation]
     parameters, known = here.parameters, commands_of(here)
     found = []
     for name, raw in dict.fromkeys(values):

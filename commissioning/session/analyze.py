@@ -3,56 +3,52 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from commissioning.identification import verdict
 from commissioning.identification.lock_in import LockIn, lock_in, phasors
 from commissioning.identification.modulating import (
     ModulatingEstimate,
     estimate,
     refined_kinematics,
 )
-from commissioning.identification.oscillation import pair, steady_oscillations
+from commissioning.identification.oscillation import Steady, pair, steady_oscillations
+from commissioning.identification.reasons import Reason, Weight
 from commissioning.identification.record import Record, rests
 from commissioning.identification.steady import SteadyFit, SteadyPoint, fit, plateaus
-from commissioning.identification.verdict import (
-    Reason,
-    Units,
-    Weight,
-    agreement,
-    of_lock_in,
-    of_modulating,
-)
+from commissioning.identification.verdict import agreement, of_lock_in, of_modulating
 from commissioning.recording import Recording, column_of, read, table_of
-from commissioning.session.result import (
+from commissioning.result.document import (
     QUANTITIES,
-    balance_json,
-    blank,
-    estimate_json,
-    judge,
-    modulating_json,
-    steady_json,
-    units,
+    AxisState,
+    Experiment,
+    Found,
+    Methods,
+    Quantity,
+    RunResult,
+    Units,
+)
+from commissioning.session.ending import begun, ended, failed
+from commissioning.session.found import (
+    Rejected,
+    balance_reading,
+    curve_of,
+    judged,
+    modulating_reading,
+    quantity,
+    steady_reading,
 )
 from profiles.axis import Axis, Mechanics
 from profiles.errors import MeasurementRejected, UsageError
 
-__all__ = ["Columns", "Rejected", "analyze"]
+__all__ = ["Columns", "analyze"]
 
 Array = NDArray[np.float64]
 Columns = dict[str, str | None]  # quantity: COL:UNIT as the user gives it
-
-
-class Rejected(MeasurementRejected):
-    """A recording that shows no friction, with the result so far."""
-
-    def __init__(self, text: str, result: dict[str, Any]) -> None:
-        super().__init__(text)
-        self.result = result
-
 
 _DOMINATES = 0.5  # of the record: one oscillation that is all there is
 
@@ -64,8 +60,8 @@ def analyze(
     steady: bool,
     method: str,
     tell: Callable[[str], None],
-) -> dict[str, Any]:
-    """Result JSON of recordings.
+) -> RunResult:
+    """The result of recordings.
 
     Raises UsageError for what is no recording, Rejected for what shows no friction.
     """
@@ -80,33 +76,31 @@ def analyze(
         raise UsageError("rotary and linear recordings do not go together")
     mechanics = Mechanics(motion="linear" if linear else "rotary", feed=1.0 if linear else None)
     axis = Axis(mechanics=mechanics).model_copy(update={"name": files[0].stem})
-    result: dict[str, Any] = blank(axis, None, None, None)
-    first = recordings[0]
-    result["experiment"] = {
-        "periods": 0,
-        "duration": float(sum(r.time[-1] - r.time[0] for r in recordings)),
-        "cycle": float(np.median(np.diff(first.time))),
-        "late_share": _late_share(first.time),
-        "lost_share": 0.0,
-        "travel": 0.0 if first.position is None else float(np.ptp(first.position)),
-    }
+    result = replace(begun(axis), experiment=_watched(recordings))
     try:
         if steady:
-            _steady(result, recordings, axis)
+            result = _steady(result, recordings)
         elif len(recordings) > 1:
             raise UsageError("several recordings go together with --steady only; give one")
         else:
-            _motion(result, first, axis, method, tell)
+            result = _motion(result, recordings[0], method, tell)
     except (ValueError, ArithmeticError, MeasurementRejected) as error:
-        result["status"] = "rejected"
-        if not result["quality"]["reasons"]:
-            result["quality"] = {"verdict": "rejected", "reasons": [str(error)]}
-        names = units(axis)
-        for key in QUANTITIES:
-            result["friction"][key] = estimate_json(None, names[key])
-        raise Rejected(f"{files[0]}: {error}", result) from None
-    result["status"] = "completed"
-    return result
+        got = error.result if isinstance(error, Rejected) else result
+        why = MeasurementRejected(f"{files[0]}: {error}")
+        raise Rejected(str(why), ended(failed(got, why), None, AxisState.NOT_MOVED)) from None
+    return ended(replace(result, status="completed"), None, AxisState.NOT_MOVED)
+
+
+def _watched(recordings: Sequence[Recording]) -> Experiment:
+    first = recordings[0]
+    return Experiment(
+        periods=0,
+        duration=float(sum(r.time[-1] - r.time[0] for r in recordings)),
+        cycle=float(np.median(np.diff(first.time))),
+        late_share=_late_share(first.time),
+        lost_share=0.0,
+        travel=0.0 if first.position is None else float(np.ptp(first.position)),
+    )
 
 
 def _late_share(time: Array) -> float:
@@ -117,7 +111,7 @@ def _late_share(time: Array) -> float:
 # -- constant speeds --------------------------------------------------------------------------------
 
 
-def _steady(result: dict[str, Any], recordings: list[Recording], axis: Axis) -> None:
+def _steady(result: RunResult, recordings: list[Recording]) -> RunResult:
     points: list[SteadyPoint] = []
     for recording in recordings:
         velocity = recording.velocity
@@ -126,20 +120,25 @@ def _steady(result: dict[str, Any], recordings: list[Recording], axis: Axis) -> 
             velocity = np.gradient(recording.position, recording.time)
         points += plateaus(velocity, recording.torque)
     found = fit(points)
-    names = units(axis)
-    result["friction"]["method"] = "steady"
-    for key in ("coulomb", "offset", "viscous"):
-        result["friction"][key] = estimate_json(getattr(found, key), names[key])
+    numbers = {
+        name: quantity(getattr(found, name), result.units.of_quantity(name))
+        for name in ("coulomb", "offset", "viscous")
+    }
     fastest = max(abs(point.speed) for point in points)
-    result["methods"]["steady"] = steady_json(found, points, fastest)
-    judge(result, _steady_reasons(found, axis))
+    result = replace(
+        result,
+        friction=Found("steady", **numbers, curve=curve_of([found], fastest)),
+        methods=Methods(steady=steady_reading(found, points)),
+    )
+    return judged(result, _steady_reasons(found, result.units))
 
 
-def _steady_reasons(found: SteadyFit, axis: Axis) -> list[Reason]:
+def _steady_reasons(found: SteadyFit, units: Units) -> list[Reason]:
     reasons = []
     if found.held_out > 0.05:
         reasons.append(
             Reason(
+                "fit.left-out",
                 Weight.DOUBT,
                 f"speeds that were left out of the fit are met to {100 * found.held_out:.1f} % only",
             )
@@ -147,14 +146,19 @@ def _steady_reasons(found: SteadyFit, axis: Axis) -> list[Reason]:
     if found.stribeck_speed is not None:
         reasons.append(
             Reason(
+                "law.stribeck",
                 Weight.NOTE,
-                f"Stribeck effect: {found.stribeck_level:.3g} {axis.effort_unit} more at rest, gone "
-                f"beyond {found.stribeck_speed:.3g} {axis.position_unit}/s",
+                f"Stribeck effect: {found.stribeck_level:.3g} {units.effort} more at rest, gone "
+                f"beyond {found.stribeck_speed:.3g} {units.position}/s",
             )
         )
     if found.viscous.value < 0:
         reasons.append(
-            Reason(Weight.DOUBT, "friction falls with speed throughout: is the motor saturated?")
+            Reason(
+                "friction.falls",
+                Weight.DOUBT,
+                "friction falls with speed throughout: is the motor saturated?",
+            )
         )
     return reasons
 
@@ -163,18 +167,15 @@ def _steady_reasons(found: SteadyFit, axis: Axis) -> list[Reason]:
 
 
 def _motion(
-    result: dict[str, Any],
-    recording: Recording,
-    axis: Axis,
-    method: str,
-    tell: Callable[[str], None],
-) -> None:
+    result: RunResult, recording: Recording, method: str, tell: Callable[[str], None]
+) -> RunResult:
     record, reasons = _record(recording)
-    named = Units(axis.position_unit, axis.effort_unit)
+    units, watched = result.units, result.experiment
+    assert watched is not None
+    named = verdict.Units(units.position, units.effort)
     kinematics = refined_kinematics(record)
     oscillations = steady_oscillations(record, kinematics)
     two = pair(oscillations)
-    names = units(axis)
     exact: LockIn | None = None
     fast: ModulatingEstimate | None = None
     if two is not None and method != "modulating":
@@ -189,18 +190,16 @@ def _motion(
             )
             for o in two
         )
-        exact = lock_in(first, second, record.resolution, result["experiment"]["cycle"])
-        result["methods"]["lock-in"] = balance_json(exact)
+        exact = lock_in(first, second, record.resolution, watched.cycle)
     elif method == "lock-in":
         raise MeasurementRejected(
             f"the exact balance needs two steady oscillations of one period and different swing; the "
             f"recording has {len(oscillations)} steady stretches. Use --method modulating"
         )
     if method != "lock-in":
-        _refuse_one_oscillation(record, oscillations, axis)
+        _refuse_one_oscillation(record, oscillations, units)
         tell("modulating functions")
         fast = estimate(record, any_motion=two is None)
-        result["methods"]["modulating"] = modulating_json(fast)
         reasons += of_modulating(fast, named)
     if exact is not None:
         reasons += of_lock_in(exact, record.resolution, named)
@@ -208,13 +207,22 @@ def _motion(
             reasons.append(agreement(fast, exact, named))
     found = fast or exact
     assert found is not None
-    result["experiment"]["periods"] = round(
-        fast.periods if fast else sum(exact.periods) if exact else 0
+    periods = round(fast.periods if fast else sum(exact.periods) if exact else 0)
+    numbers = {name: quantity(getattr(found, name), units.of_quantity(name)) for name in QUANTITIES}
+    curve = curve_of([fast], fast.peak_speed) if fast else None
+    low_speed = Quantity(fast.low_speed, None, None, units.effort) if fast else None
+    result = replace(
+        result,
+        friction=Found(
+            "modulating" if fast else "lock-in", **numbers, low_speed=low_speed, curve=curve
+        ),
+        methods=Methods(
+            lock_in=balance_reading(exact) if exact else None,
+            modulating=modulating_reading(fast) if fast else None,
+        ),
+        experiment=replace(watched, periods=periods),
     )
-    result["friction"]["method"] = "modulating" if fast else "lock-in"
-    for key in QUANTITIES:
-        result["friction"][key] = estimate_json(getattr(found, key), names[key])
-    judge(result, reasons)
+    return judged(result, reasons)
 
 
 def _record(recording: Recording) -> tuple[Record, list[Reason]]:
@@ -226,7 +234,11 @@ def _record(recording: Recording) -> tuple[Record, list[Reason]]:
         pieces = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(recording.time)
         position = np.concatenate(([0.0], np.cumsum(pieces)))
         reasons.append(
-            Reason(Weight.DOUBT, "the position is the integral of the velocity that was recorded")
+            Reason(
+                "position.integrated",
+                Weight.DOUBT,
+                "the position is the integral of the velocity that was recorded",
+            )
         )
     steps = np.abs(np.diff(position))
     moving = steps[steps > 1e-9 * float(np.ptp(position))]
@@ -237,13 +249,15 @@ def _record(recording: Recording) -> tuple[Record, list[Reason]]:
         share = float((quiet[:, 1] - quiet[:, 0]).sum() / (record.time[-1] - record.time[0]))
         reasons.append(
             Reason(
-                Weight.NOTE, f"the axis rests for {100 * share:.0f} % of the time; that is left out"
+                "axis.rests",
+                Weight.NOTE,
+                f"the axis rests for {100 * share:.0f} % of the time; that is left out",
             )
         )
     return record, reasons
 
 
-def _refuse_one_oscillation(record: Record, oscillations: list[Any], axis: Axis) -> None:
+def _refuse_one_oscillation(record: Record, oscillations: list[Steady], units: Units) -> None:
     duration = float(record.time[-1] - record.time[0])
     covered = sum((o.periods + 1) * o.period for o in oscillations)
     if not oscillations or covered < _DOMINATES * duration:
@@ -252,7 +266,7 @@ def _refuse_one_oscillation(record: Record, oscillations: list[Any], axis: Axis)
     if max(swings) > 1.1 * min(swings):
         return
     raise MeasurementRejected(
-        f"one oscillation only (half-swing {swings[0]:.3g} {axis.position_unit}, period "
+        f"one oscillation only (half-swing {swings[0]:.3g} {units.position}, period "
         f"{oscillations[0].period * 1000:.4g} ms): it cannot tell Coulomb from viscous friction; record "
         "two of clearly different torque"
     )

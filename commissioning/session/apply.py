@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from threading import Thread
-from typing import Any
+from typing import Literal
 
 from commissioning.journal import RESTORED, STORED, STORING, Journal, Kind, RunRecord
 from commissioning.ownership import note_stop
+from commissioning.records import History, Intent
+from commissioning.result.document import AxisState, Change, GainSet, RunResult, Written
 from commissioning.runs import RunFolder, resolve
 from commissioning.session.desk import Desk, connect, none_unfinished, same_drive
+from commissioning.session.ending import axis_state, close_act, ended
 from commissioning.settings import Restored, Return, Settings, planned, put_back, settle
 from drivers.drive import Drive, StopReport
 from drivers.link import check_files_of_others
@@ -39,18 +41,12 @@ __all__ = [
     "restore",
     "stop",
     "store",
+    "to_restore",
+    "unfinished",
     "unverified",
 ]
 
 _FILE = 0.5  # s that a note to others may take
-
-
-@dataclass(frozen=True, slots=True)
-class _Wanted:
-    kind: Kind
-    parameter: str
-    old: int
-    new: int
 
 
 def axis_of_run(record: RunRecord, folder: RunFolder, link: str | None) -> Axis:
@@ -59,8 +55,8 @@ def axis_of_run(record: RunRecord, folder: RunFolder, link: str | None) -> Axis:
     Raises UsageError, Refused.
     """
     try:
-        axis = Axis.model_validate_json(json.dumps(record.context["axis"]))
-    except (KeyError, ValueError, TypeError) as error:
+        axis = Axis.model_validate_json(record.context.axis)
+    except ValueError as error:
         raise UsageError(f"run {record.id}: its axis cannot be read ({error})") from None
     if link is None and record.adopted:
         check_files_of_others(record.link)
@@ -91,37 +87,31 @@ def apply(
     run: str,
     link: str | None,
     desk: Desk,
-    show: Callable[[list[dict[str, Any]]], None],
+    show: Callable[[tuple[Change, ...]], None],
     gains: str | None = None,
     *,
     prove_first: bool = False,
-) -> dict[str, Any]:
-    """Write the proposal of `run` to its drive, read back, store; return the result JSON.
+) -> RunResult:
+    """Write the proposal of `run` to its drive, read back, store; return the result.
 
     `show` gets the proposal with the values that are in the drive now. `gains`: rule whose gains of the
     drive's own loops are written, too. `prove_first`: nothing is stored.
     """
     run_id, folder = own_run(desk.journal, run)
-    record, result = desk.journal.run(run_id), folder.result()
+    history = desk.journal.history(run_id)
+    record, result = history.run, folder.result(history)
     tuned = _gains(result, gains) if gains is not None else None
-    proposal = [*result["compensation"], *(_gain_changes(tuned) if tuned else ())]
-    if result["status"] != "completed" or not proposal:
-        reason = "its drive has no friction compensation to write to"
-        if result["status"] != "completed":
-            reason = f"its status is '{result['status']}'"
-        elif result["friction"]["coulomb"]["value"] is None:
-            reason = "it measured no friction"
-        raise Refused(f"run {run_id} proposes nothing: {reason}")
+    gained = tuned.parameters if tuned else ()
+    proposal = (*result.compensation, *gained)
+    _check(result, proposal)
     axis = axis_of_run(record, folder, link)
     with connect(axis, None, desk, f"run {run_id}") as drive:
         identity = drive.identity()
         same_drive(identity, record.serial, run_id, drive.link, desk)
-        none_unfinished(desk, identity.serial)
+        none_unfinished(desk, identity.serial, drive.link)
         if tuned:
             loops = drive.profile.loops
-            if {item["parameter"] for item in tuned["parameters"]} != set(
-                loops.terms.values() if loops else ()
-            ):
+            if {item.parameter for item in gained} != set(loops.terms.values() if loops else ()):
                 raise Refused(
                     f"run {run_id}: its gains are not those that the profile maps; tune it again"
                 )
@@ -130,41 +120,64 @@ def apply(
                 "the drive is enabled: its compensation is not changed while it controls the axis; "
                 "disable it first"
             )
-        compensations = len(result["compensation"])
-        wanted = [
-            _Wanted(
-                "compensation" if n < compensations else "gain",
-                item["parameter"],
-                drive.read_raw(item["parameter"]),
-                int(item["new_raw"]),
-            )
-            for n, item in enumerate(proposal)
-        ]
-        present = []
-        for item, now in zip(proposal, wanted, strict=True):
-            parameter = drive.profile.parameters[now.parameter]
-            old = drive.scaling.to_si(parameter, now.old)
-            present.append({**item, "old_raw": now.old, "old": old})
+        present = tuple(_present(change, drive) for change in proposal)
         show(present)
         stores, then = _storing(drive.profile, prove_first=prove_first)
         stored = not stores or desk.journal.memory(run_id) == STORED
-        names = [w.parameter for w in wanted]
+        names = [change.parameter for change in present]
         unverified(drive.profile, names, constant_known=axis.torque_constant is not None)
         if drive.profile.compensation.note:
             desk.tell(drive.profile.compensation.note)
-        if any(w.old != w.new for w in wanted) or not stored:
+        if any(change.old_raw != change.new_raw for change in present) or not stored:
             desk.agree(f"These values will be WRITTEN to axis '{axis.name}' {then}.", axis.name)
             # whoever wants a proof puts them back
             advising = contextlib.nullcontext() if prove_first else _advising(run_id)
-            with desk.interruption.deferred(), advising:
-                _write(drive, desk, run_id, wanted, stores=stores)
+            try:
+                with desk.interruption.deferred(), advising:
+                    _write(
+                        drive,
+                        desk,
+                        run_id,
+                        present,
+                        frozenset(c.parameter for c in gained),
+                        stores=stores,
+                    )
+            except TwoRelayError as error:
+                close_act(desk, folder, result, axis_state(drive, axis), error)
+                raise
         else:
             desk.tell("the drive has these values already")
-        for item in [*result["compensation"], *([tuned] if tuned else [])]:
-            item["written"] = True
-        folder.save(result, None, None)
+        changed = [change for change in result.compensation if change.old_raw != change.new_raw]
+        there = [_written(change, "compensation") for change in changed]
+        there += [_written(change, "gain") for change in gained]
+        others = [one for one in result.written if one.parameter not in names]
+        result = replace(result, status="completed", error=None, written=(*others, *there))
+        result = close_act(desk, folder, result, axis_state(drive, axis))
         desk.interruption.check()
     return result
+
+
+def _check(result: RunResult, proposal: tuple[Change, ...]) -> None:
+    """Raise Refused where there is nothing to write."""
+    if result.measured and proposal:
+        return
+    reason = "its drive has no friction compensation to write to"
+    if not result.measured:
+        reason = f"its status is '{result.status}'"
+    elif result.friction.coulomb is None:
+        reason = "it measured no friction"
+    raise Refused(f"run {result.run} proposes nothing: {reason}")
+
+
+def _present(change: Change, drive: Drive) -> Change:
+    """A change from what is in the drive now."""
+    raw = drive.read_raw(change.parameter)
+    parameter = drive.profile.parameters[change.parameter]
+    return replace(change, old_raw=raw, old=drive.scaling.to_si(parameter, raw))
+
+
+def _written(change: Change, kind: Literal["compensation", "gain"]) -> Written:
+    return Written(change.parameter, kind, change.new_raw, change.new, change.unit)
 
 
 def _storing(profile: Profile, *, prove_first: bool) -> tuple[bool, str]:
@@ -200,43 +213,42 @@ def unverified(profile: Profile, names: list[str], *, constant_known: bool) -> N
         )
 
 
-def _gains(result: dict[str, Any], rule: str) -> dict[str, Any]:
+def _gains(result: RunResult, rule: str) -> GainSet:
     """The set of gains by `rule` for the drive's own loops; raises Refused."""
-    run = result["run"]
-    sets = [
-        s
-        for s in result["tuning"]
-        if s["gains"] and s["loop"] == "drive" and s["source"] == "corrected"
-    ]
+    run = result.run
+    sets = [s for s in result.of_loop("drive") if s.gains and s.source == "corrected"]
     if not sets:
         raise Refused(f"run {run} has no gains for the drive: 'tworelay tune {run}' makes them")
-    named = [s for s in sets if s["rule"] == rule]
-    if not named:
-        raise UnknownName("rule with gains for the drive", rule, [s["rule"] for s in sets])
-    found: dict[str, Any] = named[0]
-    if not found["proposed"]:
-        raise Refused(f"run {run}: the gains by {rule} are not proposed: {found['why_not']}")
-    if not found["parameters"]:
+    found = next((s for s in sets if s.rule == rule), None)
+    if found is None:
+        raise UnknownName("rule with gains for the drive", rule, [s.rule for s in sets])
+    if not found.proposed:
+        raise Refused(f"run {run}: the gains by {rule} are not proposed: {found.why_not}")
+    if not found.parameters:
         raise Refused(f"run {run}: the profile does not map the gains of {rule}; set them by hand")
     return found
 
 
-def _gain_changes(tuned: dict[str, Any]) -> list[dict[str, Any]]:
-    """The gains of a set in the words of a proposal."""
-    return [{**item, "why": f"gain by {tuned['rule']}"} for item in tuned["parameters"]]
-
-
-def _write(drive: Drive, desk: Desk, run_id: str, wanted: list[_Wanted], *, stores: bool) -> None:
+def _write(
+    drive: Drive,
+    desk: Desk,
+    run_id: str,
+    wanted: tuple[Change, ...],
+    gains: frozenset[str],
+    *,
+    stores: bool,
+) -> None:
     """RAM first, each read back; then store once, other masters no longer locked out; then read again."""
     settings = Settings(desk.journal, run_id, drive)
     with settings.exclusive_access():
-        for item in wanted:
+        for change in wanted:
             if desk.interruption.hurried():
                 desk.interruption.check()
-            if settings.write(item.kind, item.parameter, item.new):
-                desk.tell(f"{item.parameter}: {item.old} → {item.new}, read back")
+            kind: Kind = "gain" if change.parameter in gains else "compensation"
+            if settings.write(kind, change.parameter, change.new_raw):
+                desk.tell(f"{change.parameter}: {change.old_raw} → {change.new_raw}, read back")
     if stores:
-        store(drive, desk, run_id, {item.parameter: item.new for item in wanted})
+        store(drive, desk, run_id, {change.parameter: change.new_raw for change in wanted})
 
 
 @contextlib.contextmanager
@@ -287,8 +299,32 @@ def store(
     )
 
 
+def to_restore(run: str | None, desk: Desk) -> str | None:
+    """The run whose changes are to be put back: `run`, else the last that wrote; None: there are none.
+
+    Raises Refused, UnknownName.
+    """
+    if run is not None:
+        run_id, _ = _resolve_any(desk, run)
+        return run_id if desk.journal.intents(run_id, open_only=True) else None
+    waiting = desk.journal.open_runs()
+    if not waiting:
+        if others := desk.journal.open_runs(adopted=True):
+            raise Refused(
+                "nothing of this computer's own is to be restored; of runs that were taken in: "
+                + ", ".join(others[:5])
+            )
+        return None
+    if waiting[0] != desk.journal.last_written():
+        raise Refused(
+            "the latest run has nothing to restore; name the one that is meant: "
+            + ", ".join(f"{name} on {desk.journal.run(name).link}" for name in waiting[:5])
+        )
+    return waiting[0]
+
+
 def restore(
-    run: str | None,
+    run_id: str,
     link: str | None,
     desk: Desk,
     *,
@@ -296,31 +332,15 @@ def restore(
     show: Callable[[list[Return], Drive], None] = lambda rows, drive: None,
     dry_run: bool = False,
 ) -> Restored | None:
-    """Put back every parameter that `run` (default: the latest with any) changed, once that is agreed.
+    """Put back every parameter that the run changed, once that is agreed.
 
     None: it was a `dry_run`. Stores where the run has stored, and nothing unless everything is back. `show`
     gets what will be done.
     """
-    if run is None:
-        waiting = desk.journal.open_runs()
-        if not waiting:
-            if others := desk.journal.open_runs(adopted=True):
-                raise Refused(
-                    "nothing of this computer's own is to be restored; of runs that were taken in: "
-                    + ", ".join(others[:5])
-                )
-            return Restored()
-        if waiting[0] != desk.journal.last_written():
-            raise Refused(
-                "the latest run has nothing to restore; name the one that is meant: "
-                + ", ".join(f"{name} on {desk.journal.run(name).link}" for name in waiting[:5])
-            )
-        run_id = waiting[0]
-        folder = RunFolder.of(desk.journal, run_id)
-    else:
-        run_id, folder = _resolve_any(desk, run)
-    record = desk.journal.run(run_id)
-    if not desk.journal.intents(run_id, open_only=True):
+    folder = RunFolder.of(desk.journal, run_id)
+    history = desk.journal.history(run_id)
+    record = history.run
+    if not any(intent.is_open for intent in history.intents):
         return Restored()
     axis = axis_of_run(record, folder, link)
     desk.tell(f"run {run_id}: axis '{record.axis}' on {axis.link}")
@@ -346,8 +366,30 @@ def restore(
                 "as the run had stored others.",
                 record.axis,
             )
-        with desk.interruption.deferred():
-            return _put_all_back(drive, desk, run_id, force=force)
+        try:
+            with desk.interruption.deferred():
+                outcome = _put_all_back(drive, desk, run_id, force=force)
+        except TwoRelayError as error:
+            _note_return(desk, folder, history, axis_state(drive, axis), error)
+            raise
+        _note_return(desk, folder, history, axis_state(drive, axis))
+        return outcome
+
+
+def _note_return(
+    desk: Desk,
+    folder: RunFolder,
+    before: History,
+    axis: AxisState,
+    error: TwoRelayError | None = None,
+) -> None:
+    """Write into the run what is in the drive after a restore; a run killed early has no file for it."""
+    with contextlib.suppress(UsageError):
+        result = folder.result(before)
+        if error is None and any(intent.lasts for intent in before.intents):
+            result = replace(result, written=())
+        said_by = None if error is None else error.said_by or None
+        folder.save(ended(result, desk.journal.history(before.run.id), axis, said_by))
 
 
 def _check_not_enabled(drive: Drive, desk: Desk, run_id: str) -> None:
@@ -371,6 +413,7 @@ def _put_all_back(drive: Drive, desk: Desk, run_id: str, *, force: bool) -> Rest
     # until they are all back, and stored where the run has stored, those for good stay open
     settle(desk.journal, [i for i in intents if i.kind == "experiment"], outcome)
     if not outcome.complete:
+        _note_back(desk, run_id, lasting, outcome)
         unstored = "; nothing was stored" if lasting else ""
         raise _Incomplete(
             f"restore of run {run_id} is incomplete: {outcome}{unstored}; the run stays open, and "
@@ -390,6 +433,16 @@ def _put_all_back(drive: Drive, desk: Desk, run_id: str, *, force: bool) -> Rest
     return outcome
 
 
+def _note_back(desk: Desk, run_id: str, lasting: list[Intent], outcome: Restored) -> None:
+    """Of a restore that is not complete: what has its old value, though its intents stay open."""
+    for name in (*outcome.restored, *outcome.already):
+        of_it = [intent for intent in lasting if intent.parameter == name]
+        if of_it and of_it[-1].new != of_it[0].old:
+            first, last = of_it[0], of_it[-1]
+            back = desk.journal.intend(run_id, last.kind, name, last.new, first.old)
+            desk.journal.settle([back], "verified")
+
+
 _OURS = STORED, STORING  # what may be in a non-volatile memory
 
 
@@ -401,14 +454,14 @@ class _Incomplete(WriteFailed):
         self.left = left
 
 
-def leave_as_found(run: str, desk: Desk) -> tuple[str, tuple[str, ...]]:
+def leave_as_found(run: str, desk: Desk) -> str:
     """Put back all that `run` changed, after it came to nothing; never raises.
 
-    Returns what it reached, '' where nothing had been changed, and the names of what is not back.
+    Returns what it reached; '' where nothing had been changed.
     """
     intents = desk.journal.intents(run, open_only=True)
     if not intents:
-        return "", ()
+        return ""
     record, folder = desk.journal.run(run), RunFolder.of(desk.journal, run)
     try:
         axis = axis_of_run(record, folder, None)
@@ -423,8 +476,8 @@ def leave_as_found(run: str, desk: Desk) -> tuple[str, tuple[str, ...]]:
             left = error.left
         why = "the drive cannot be reached" if isinstance(error, LinkError) else str(error)
         way = f"'tworelay restore {run}' puts the old values back"
-        return f"NOT put back: {', '.join(left)} ({why}); {way}", left
-    return f"the drive is as it was found ({outcome})", ()
+        return f"NOT put back: {', '.join(left)} ({why}); {way}"
+    return f"the drive is as it was found ({outcome})"
 
 
 def _resolve_any(desk: Desk, run: str) -> tuple[str, RunFolder]:
@@ -453,6 +506,13 @@ def stop(axis: Axis, desk: Desk) -> StopReport:
     if not report.deenergised:
         raise DriveFault(str(report))
     return report
+
+
+def unfinished(axis: Axis, desk: Desk) -> list[str]:
+    """Runs of this computer on the link of `axis` whose settings are not back, as far as is known."""
+    with contextlib.suppress(TwoRelayError):  # a stop is done, whatever the journal is like
+        return desk.journal.unfinished_on(axis.link or "")
+    return []
 
 
 def _tell_what_is_left(drive: Drive, desk: Desk) -> None:

@@ -3,37 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass, replace
 
 from commissioning.guardian import Guardian, guarded
+from commissioning.identification.reasons import Reason, Weight
+from commissioning.result.document import AxisState, Limits, Quality, RunResult
 from commissioning.runner import Recorder
 from commissioning.runs import RunFolder, Samples
+from commissioning.session import preflight
 from commissioning.session.desk import Desk, Options, begin_run, connect, none_unfinished
+from commissioning.session.ending import axis_state, begun, ended, erring, failed, on_drive
+from commissioning.session.found import Rejected, experiment
 from commissioning.session.measurement import Measurement
-from commissioning.session.preflight import Limits, check_watchdog, choose_limits, look, writes
-from commissioning.session.result import blank
+from commissioning.session.preflight import check_watchdog, choose_limits, look, writes
 from commissioning.settings import Settings
 from drivers.drive import Drive
 from profiles.axis import Axis
 from profiles.errors import TwoRelayError
 from profiles.library import source_text
 
-__all__ = ["Failure", "Work", "experiment_json", "in_a_run", "noted"]
+__all__ = ["Failure", "Work", "in_a_run", "noted"]
 
-Work = Callable[[Measurement, dict[str, Any]], None]
+Work = Callable[[Measurement, RunResult], RunResult]
 
 
 class Failure(Exception):
     """A job that ended early: its error, and the result as far as it got."""
 
-    def __init__(self, error: TwoRelayError, result: dict[str, Any]) -> None:
+    def __init__(self, error: TwoRelayError, result: RunResult) -> None:
         super().__init__(str(error))
         self.error = error
         self.result = result
 
 
-def in_a_run(axis: Axis, options: Options, desk: Desk, work: Work) -> dict[str, Any]:
-    """Do `work` on the armed drive of `axis`; it fills the result JSON, which is returned.
+@dataclass
+class _Draft:
+    """The result as far as it got."""
+
+    result: RunResult
+
+
+def in_a_run(axis: Axis, options: Options, desk: Desk, work: Work) -> RunResult:
+    """Do `work` on the armed drive of `axis`; it fills the result, which is returned.
 
     Raises
     ------
@@ -41,63 +52,88 @@ def in_a_run(axis: Axis, options: Options, desk: Desk, work: Work) -> dict[str, 
         Around any TwoRelayError, with the result so far. The axis is at rest and de-energised, and
         every setting of the experiment is back, or the error says what is not.
     """
-    result = blank(axis, axis.link, None, None)
+    draft = _Draft(begun(axis))
     try:
         with connect(axis, options.cycle, desk, f"a job on axis {axis.name}") as drive:
-            return _run(axis, options, desk, drive, result, work)
+            _run(axis, options, desk, drive, draft, work)
     except TwoRelayError as error:
-        result["status"] = error.status
-        result["quality"] = {"verdict": "rejected", "reasons": [str(error)]}
+        result = draft.result
+        if result.ending is None:  # before anything was moved or written
+            result = ended(failed(result, error), None, AxisState.NOT_MOVED, error.said_by or None)
+        elif result.status == "completed":  # and then the link was closed
+            result = erring(result, error)
         raise Failure(error, result) from error
+    return draft.result
 
 
-def _run(
-    axis: Axis, options: Options, desk: Desk, drive: Drive, result: dict[str, Any], work: Work
-) -> dict[str, Any]:
+def _run(axis: Axis, options: Options, desk: Desk, drive: Drive, draft: _Draft, work: Work) -> None:
     identity = drive.identity()
-    result |= blank(axis, drive.link, drive.profile, identity)
+    draft.result = on_drive(draft.result, axis, drive.link, drive.profile, identity)
     desk.tell(f"drive: {identity}; profile {drive.profile.name} {drive.profile.version}")
     for line in drive.lacking:
         desk.tell(line)
-    none_unfinished(desk, identity.serial)
+    none_unfinished(desk, identity.serial, drive.link)
     look(drive, axis)
     check_watchdog(drive, without=options.without_watchdog)
     limits = choose_limits(drive, axis, options)
     if options.dry_run:
-        return _dry_run(axis, drive, limits, desk, result)
+        draft.result = _dry_run(axis, drive, limits, desk, draft.result)
+        return
     desk.agree(_arming_text(axis, limits), axis.name, "nothing was moved or written")
     look(drive, axis)  # the question may have stood for long
-    none_unfinished(desk, identity.serial)
+    none_unfinished(desk, identity.serial, drive.link)
     limits = choose_limits(drive, axis, options)
+    _begun(axis, options, desk, drive, draft, limits, work)
+
+
+def _begun(
+    axis: Axis,
+    options: Options,
+    desk: Desk,
+    drive: Drive,
+    draft: _Draft,
+    limits: preflight.Limits,
+    work: Work,
+) -> None:
+    """The work as a run of the journal, whatever becomes of it."""
+    identity = drive.identity()
     profile_text = source_text(axis.profile or drive.profile.name)
     run_id = begin_run(desk, drive, identity, axis, options.fraction)
-    result["run"] = run_id
-    recorder = Recorder(on_phase=desk.tell)
+    draft.result = replace(draft.result, run=run_id)
     folder = RunFolder.of(desk.journal, run_id)
-    folder.save(result, None, profile_text)  # so that `restore` knows the drive after a crash
+    folder.save(
+        draft.result, profile=profile_text
+    )  # so that `restore` knows the drive after a crash
+    recorder = Recorder(on_phase=desk.tell)
+    notes: tuple[str, ...] = drive.lacking
+    said_by: str | None = None
     try:
         settings = Settings(desk.journal, run_id, drive)
         home = desk.journal.folder
         with guarded(drive, axis, folder.profile_path(), run_id, home) as guardian:
             job = Measurement(axis, options, desk, drive, limits, recorder, settings, guardian)
             try:
-                work(job, result)
+                draft.result = replace(work(job, draft.result), status="completed")
             finally:
-                result["notes"] += [*drive.lacking, *noted(guardian)]
-        result["status"] = "completed"
+                notes = (*notes, *noted(guardian))
     except TwoRelayError as error:
-        result["friction"] = blank(axis, drive.link, drive.profile, identity)["friction"]
-        result["critical_point"] = None
-        result["status"] = error.status
-        result["quality"] = {"verdict": "rejected", "reasons": [str(error)]}
+        if isinstance(error, Rejected):
+            draft.result = error.result
+        draft.result = failed(draft.result, error)
+        said_by = error.said_by or None
         raise
     finally:
         with desk.interruption.deferred():
-            if result["experiment"] is None:
-                result["experiment"] = experiment_json(recorder, drive.cycle, 0)
-            desk.journal.finish(run_id, result["status"])
-            folder.save(result, Samples.of(recorder), None)
-    return result
+            result = replace(draft.result, notes=draft.result.notes + notes)
+            if result.experiment is None:
+                allowed = Limits(limits.travel, limits.torque, limits.speed)
+                watched = experiment(recorder, drive.cycle, 0, allowed)
+                result = replace(result, experiment=watched)
+            history = desk.journal.history(run_id)
+            result = ended(result, history, axis_state(drive, axis), said_by)
+            draft.result = result
+            desk.journal.finish(run_id, result.status)
+            folder.save(result, Samples.of(recorder))
 
 
 def noted(guardian: Guardian) -> list[str]:
@@ -106,7 +142,7 @@ def noted(guardian: Guardian) -> list[str]:
     return [acted, *(f"guardian: {line}" for line in guardian.said[1:])] if acted else []
 
 
-def _arming_text(axis: Axis, limits: Limits) -> str:
+def _arming_text(axis: Axis, limits: preflight.Limits) -> str:
     p, e = axis.position_unit, axis.effort_unit
     return (
         f"Axis '{axis.name}' will MOVE by itself: up to ±{limits.travel:.4g} {p} about its present "
@@ -117,8 +153,8 @@ def _arming_text(axis: Axis, limits: Limits) -> str:
 
 
 def _dry_run(
-    axis: Axis, drive: Drive, limits: Limits, desk: Desk, result: dict[str, Any]
-) -> dict[str, Any]:
+    axis: Axis, drive: Drive, limits: preflight.Limits, desk: Desk, result: RunResult
+) -> RunResult:
     """Say what would be written; write nothing."""
     desk.tell(_arming_text(axis, limits))
     for name, raw in writes(drive, limits).items():
@@ -130,27 +166,6 @@ def _dry_run(
             )
     desk.tell("would set mode, target torque and controlword to move the axis, and put them back")
     desk.tell("dry run: nothing was written or moved")
-    result["status"] = "completed"
-    result["quality"]["reasons"] = ["dry run: nothing was measured"]
-    return result
-
-
-def experiment_json(recorder: Recorder, cycle: float, periods: int) -> dict[str, Any]:
-    """The `experiment` object of what was recorded."""
-    samples = recorder.samples
-    if not samples:
-        return {
-            "periods": 0, "duration": 0.0, "cycle": cycle, "late_share": 0.0, "lost_share": 0.0,
-            "travel": 0.0,
-        }  # fmt: skip
-    positions = [s.position for s in samples]
-    late = sum(s.lateness > 0.5 * cycle for s in samples)
-    lost = sum(s.missed for s in samples)
-    return {
-        "periods": periods,
-        "duration": samples[-1].time - samples[0].sent,
-        "cycle": cycle,
-        "late_share": late / len(samples),
-        "lost_share": lost / (len(samples) + lost),
-        "travel": max(positions) - min(positions),
-    }
+    nothing = Reason("dry-run", Weight.NOTE, "dry run: nothing was measured")
+    result = replace(result, status="completed", quality=Quality(None, (nothing,)))
+    return ended(result, None, AxisState.NOT_MOVED)

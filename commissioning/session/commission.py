@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from typing import Any
+from dataclasses import replace
 
+from commissioning.result.document import AxisState, Change, RunResult
 from commissioning.runs import RunFolder
 from commissioning.session.apply import apply, leave_as_found
 from commissioning.session.desk import Desk
-from commissioning.session.verify import provable, verify
+from commissioning.session.ending import ended, erring
+from commissioning.session.verify import Wishes, provable, verify
 from profiles.errors import Interrupted, PreflightRefused, TwoRelayError
 from profiles.library import load_profile
 
 __all__ = ["prove_and_store"]
 
-Show = Callable[[list[dict[str, Any]]], None]
+Show = Callable[[tuple[Change, ...]], None]
 
 
-def prove_and_store(run: str, desk: Desk, show: Show, limits: dict[str, Any]) -> dict[str, Any]:
-    """Write what `run` proposes, prove it, and store it once; returns the result JSON.
+def prove_and_store(run: str, desk: Desk, show: Show, *, without_watchdog: bool) -> RunResult:
+    """Write what `run` proposes, prove it, and store it once; returns the result.
 
-    `show` gets the proposal; `limits` as for `verify`.
+    `show` gets the proposal.
 
     Raises
     ------
@@ -37,20 +39,25 @@ def prove_and_store(run: str, desk: Desk, show: Show, limits: dict[str, Any]) ->
         raise
     try:
         apply(run, None, desk, show, prove_first=True)
-        return verify(run, None, desk, limits, unproved=True)
+        return verify(run, None, desk, Wishes(without_watchdog=without_watchdog), unproved=True)
     except BaseException as error:
         with contextlib.suppress(Interrupted), desk.interruption.deferred():
-            became, left = leave_as_found(run, desk)
-            _note(folder, [f"not proved: {error}", became], left)
+            became = leave_as_found(run, desk)
+            _close(run, desk, folder, error, became)
         if became and isinstance(error, TwoRelayError):
             error.args = (f"{error}; {became}",)
         raise
 
 
-def _note(folder: RunFolder, texts: list[str], left: tuple[str, ...]) -> None:
-    """What the result keeps of a proof that was not reached; `left`: parameters that are not back."""
-    result = folder.result()
-    for item in result["compensation"]:
-        item["written"] = item["parameter"] in left
-    result.setdefault("notes", []).extend(text for text in texts if text)
-    folder.save(result, None, None)
+def _close(run: str, desk: Desk, folder: RunFolder, error: BaseException, became: str) -> None:
+    """What the run keeps of a proof that was not reached."""
+    history = desk.journal.history(run)
+    result = folder.result(history)
+    notes = tuple(text for text in (f"not proved: {error}", became) if text)
+    result = replace(result, notes=result.notes + notes)
+    said_by = None
+    if isinstance(error, TwoRelayError):
+        result, said_by = erring(result, error), error.said_by or None
+        error.noted = True
+    axis = result.ending.axis if result.ending else AxisState.NOT_VERIFIED
+    folder.save(ended(result, history, axis, said_by))

@@ -11,6 +11,7 @@ from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from commissioning.ownership import announce, owned
 from commissioning.processes import is_alive, this_process
+from commissioning.records import Context
 from drivers.drive import Drive
 from drivers.link import open_drive
 from drivers.link_text import is_simulated
@@ -71,19 +72,21 @@ def begin_run(desk: Desk, drive: Drive, identity: Identity, axis: Axis, fraction
         profile=drive.profile.name,
         profile_hash=digest(drive.profile),
         serial=identity.serial,
-        context={"axis": axis.model_dump(mode="json"), "fraction": fraction, **this_process()},
+        context=Context(axis.model_dump_json(), fraction, **this_process()),
     )
     announce(f"run {run}")
     return run
 
 
-def none_unfinished(desk: Desk, serial: str) -> None:
-    """Raise Refused while another run uses the drive, or one was cut off and left it changed."""
-    for run in desk.journal.unfinished(serial):
+def none_unfinished(desk: Desk, serial: str, link: str) -> None:
+    """Raise Refused while another run uses the drive, or one was cut off and left it changed.
+
+    A drive that tells no serial number is the one on `link`.
+    """
+    for run in desk.journal.unfinished(serial, link):
         context = desk.journal.run(run).context
-        pid = context.get("pid")
-        if pid != os.getpid() and is_alive(pid, context.get("started")):
-            raise Refused(f"run {run} is still in progress on this drive (process {pid})")
+        if context.pid != os.getpid() and is_alive(context.pid, context.started):
+            raise Refused(f"run {run} is still in progress on this drive (process {context.pid})")
         raise Refused(
             f"run {run} on this drive was cut off and left settings changed; "
             f"'tworelay restore {run}' puts them back"
@@ -120,7 +123,8 @@ def _allowed_here(axis: Axis) -> None:
     """In CI only what is simulated is touched, unless the axis is allowed by name."""
     if not os.environ.get("CI") or axis.link is None or is_simulated(axis.link):
         return
-    if axis.name not in os.environ.get("TWORELAY_ALLOW_REAL", "").split(","):
+    allowed = os.environ.get("TWORELAY_ALLOW_REAL", "")
+    if axis.name not in (allowed, *allowed.split(",")):  # a name may have a comma in it
         raise Refused(
             f"CI is set and {axis.link} is a real adapter: axis '{axis.name}' is not touched from "
             f"CI. If it may be, set TWORELAY_ALLOW_REAL={axis.name}"

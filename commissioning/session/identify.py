@@ -2,43 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
-from commissioning.compensation import Known, host_terms
 from commissioning.identification.critical_point import (
     CriticalPoint,
     corrected,
     friction_of,
 )
-from commissioning.identification.estimate import Estimate
-from commissioning.identification.verdict import (
-    Reason,
-    Weight,
-    dwell_share,
-    is_unsigned,
-    of_torque,
-    torque_gain,
-)
+from commissioning.identification.reasons import Reason, Weight
+from commissioning.identification.verdict import dwell_share, is_unsigned, of_torque, torque_gain
+from commissioning.result.document import Bases, Experiment, FirstLook, RunResult, Setup
 from commissioning.runner import Recorder
-from commissioning.session.armed import experiment_json, in_a_run
+from commissioning.session.armed import in_a_run
 from commissioning.session.desk import Desk, Options
+from commissioning.session.found import (
+    critical_points,
+    cycles,
+    experiment,
+    found_of,
+    judged,
+    methods_of,
+)
 from commissioning.session.measurement import Measurement
 from commissioning.session.methods import PACE_IS_LONG, Measured
-from commissioning.session.proposal import own_estimate, proposal
-from commissioning.session.result import (
-    QUANTITIES,
-    changes_json,
-    critical_points,
-    cycles_json,
-    friction_json,
-    judge,
-    methods_json,
-)
-from drivers.drive import Drive
+from commissioning.session.proposal import with_proposal
 from profiles.axis import Axis
 from profiles.errors import MeasurementRejected
 
@@ -47,90 +38,88 @@ __all__ = ["identify"]
 _LEAST_PERIOD = 20  # dead times, for the methods of the thesis
 _LEAST_CYCLES = 25, 15  # a period, for the methods of the thesis and for the others
 _MANY_LATE = 0.01  # of the cycles
+_ELASTIC = {"fit.unexplained", "balance.harmonics"}
 _LIMITED_SHARE, _MUCH_LIMITED = 0.002, 0.2  # of the cycles
 
 
-def identify(axis: Axis, options: Options, desk: Desk) -> dict[str, Any]:
-    """Run the experiments on `axis` and return the result JSON; raises Failure."""
+def identify(axis: Axis, options: Options, desk: Desk) -> RunResult:
+    """Run the experiments on `axis`; raises Failure."""
 
-    def work(job: Measurement, result: dict[str, Any]) -> None:
-        measured = job.measure()
+    def work(job: Measurement, result: RunResult) -> RunResult:
+        repeats = job.measure()
         try:
-            _fill(result, measured, job, job.drive, options)
+            found = _measured(result, repeats, job, options)
         except ValueError as error:  # a limit cycle that no relay makes
             raise MeasurementRejected(f"the oscillations contradict themselves: {error}") from None
-        known = _known(measured)
-        drive = job.drive
-        reasons = result["quality"]["reasons"]
-        result["compensation"] = changes_json(proposal(drive, known, options.fraction, reasons))
-        reasons += filter(None, [own_estimate(drive, known.coulomb)])
-        added = host_terms(drive.profile, drive.scaling, known, options.fraction)
-        result["host_compensation"] = asdict(added) if added else None
+        return with_proposal(found, job.drive, options.fraction)
 
     return in_a_run(axis, options, desk, work)
 
 
-def _fill(
-    result: dict[str, Any],
-    measured: Measured,
-    job: Measurement,
-    drive: Drive,
-    options: Options,
-) -> None:
-    """Put the numbers into the result; raises MeasurementRejected where they cannot be trusted."""
-    axis, recorder, limits, known = job.axis, job.recorder, job.limits, job.known
-    estimates = {name: measured.estimate(name) for name in QUANTITIES}
-    spread = _spread(measured.repeats)
-    coulomb = estimates["coulomb"]
-    if spread is not None and coulomb is not None:
-        low, high = min(coulomb.low, spread.low), max(coulomb.high, spread.high)
-        estimates["coulomb"] = Estimate(spread.value, low, high)
-    result["methods"] = methods_json(measured)
-    result["friction"] = friction_json(
-        measured.method, estimates, axis, drive.profile, drive.scaling
+def _measured(
+    result: RunResult, repeats: Sequence[Measured], job: Measurement, options: Options
+) -> RunResult:
+    """`result` with the numbers; raises Rejected where they cannot be trusted."""
+    drive, recorder, last = job.drive, job.recorder, repeats[-1]
+    right, complex_coulomb = _right_point(last)
+    watched = experiment(recorder, drive.cycle, sum(one.periods for one in repeats), job.allowed)
+    result = replace(
+        result,
+        friction=found_of(repeats, result.units, job.as_the_drive_counts),
+        methods=methods_of(last),
+        critical_point=critical_points(last, right),
+        experiment=replace(
+            watched,
+            cycles=cycles(last.shown, recorder.samples[0].sent),
+            complex_coulomb=(complex_coulomb.real, complex_coulomb.imag),
+            tests=last.tests,
+            repeats=tuple(one.found.coulomb.value for one in repeats),
+            setup=_setup(job),
+        ),
     )
-    right, complex_coulomb = _right_point(measured)
-    result["critical_point"] = critical_points(measured, right)
-    experiment = experiment_json(recorder, drive.cycle, measured.periods)
-    begin = recorder.samples[0].sent
-    result["experiment"] = experiment | {
-        "cycles": cycles_json(measured.shown),
-        "complex_coulomb": [complex_coulomb.real, complex_coulomb.imag],
-        "spans": [[t - begin for t in one.span] for one in measured.shown],
-        "tests": measured.tests,
-        "repeats": measured.repeats,
-        "turnaround": _turnaround(recorder),
-        "loop_lag": job.loop_lag,
-        "resolution": job.context.resolution,
-        "bases": {
-            "rated_torque": drive.scaling.rated_torque,
-            "increments_per_revolution": drive.scaling.increments_per_revolution,
-            "torque_constant": drive.scaling.torque_constant,
-        },
-        "limits": {"travel": limits.travel, "torque": limits.torque, "speed": limits.speed},
-        "first_look": {
-            "breakaway": known.breakaway,
-            "coulomb": known.coulomb,
-            "offset": known.offset,
-            "viscous": known.viscous,
-            "inertia": known.inertia,
-            "dead_time": known.dead_time,
-        },
-    }
-    reasons = [*measured.reasons, *_reasons(measured, job, drive.cycle, options.method)]
-    judge(result, [*_of_jitter(experiment, reasons), *reasons])
+    reasons = [*_of_repeats(repeats), *_reasons(last, job, drive.cycle, options.method)]
+    return judged(result, [*_of_jitter(watched, reasons), *reasons])
 
 
-def _of_jitter(experiment: dict[str, Any], reasons: list[Reason]) -> list[Reason]:
+def _setup(job: Measurement) -> Setup:
+    known, scaling = job.known, job.drive.scaling
+    return Setup(
+        _turnaround(job.recorder),
+        job.context.resolution,
+        Bases(scaling.rated_torque, scaling.increments_per_revolution, scaling.torque_constant),
+        FirstLook(
+            known.breakaway, known.coulomb, known.offset, known.viscous, known.inertia,
+            known.dead_time,
+        ),
+        job.loop_lag,
+    )  # fmt: skip
+
+
+def _of_repeats(repeats: Sequence[Measured]) -> list[Reason]:
+    """Reasons of the last repeat, and those of the others that it does not have."""
+    reasons = list(repeats[-1].reasons)
+    for number, one in enumerate(repeats[:-1], 1):
+        known = {(reason.code, reason.weight) for reason in reasons}
+        reasons += [
+            replace(reason, text=f"repeat {number}: {reason.text}")
+            for reason in one.reasons
+            if (reason.code, reason.weight) not in known
+        ]
+    return reasons
+
+
+def _of_jitter(watched: Experiment, reasons: list[Reason]) -> list[Reason]:
     """Late or lost cycles, before what they may be taken for."""
-    late, lost = experiment["late_share"], experiment["lost_share"]
-    if max(late, lost) <= _MANY_LATE or not any("elastic" in reason.text for reason in reasons):
+    late, lost = watched.late_share, watched.lost_share
+    elastic = any(reason.code in _ELASTIC for reason in reasons)
+    if max(late, lost) <= _MANY_LATE or not elastic:
         return []
     return [
         Reason(
+            "link.irregular",
             Weight.NOTE,
             f"{100 * late:.1f} % of the cycles came late and {100 * lost:.1f} % were lost, which alone can "
-            f"leave torque unexplained: try a longer --cycle than {experiment['cycle'] * 1000:g} ms "
+            f"leave torque unexplained: try a longer --cycle than {watched.cycle * 1000:g} ms "
             "('tworelay latency' finds one), or a less busy computer, before the axis is taken for elastic",
         )
     ]
@@ -141,18 +130,6 @@ def _turnaround(recorder: Recorder) -> float:
     samples = recorder.samples
     waits = [after.sent - before.time for before, after in pairwise(samples)]
     return max(float(np.median(waits)), 0.0) if waits else 0.0
-
-
-def _spread(values: list[float]) -> Estimate | None:
-    """Mean of repeated measurements and what they scatter by, None for a single one."""
-    if len(values) < 2:
-        return None
-    import numpy as np
-    from scipy.stats import t
-
-    half = float(t.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / len(values) ** 0.5)
-    mean = float(np.mean(values))
-    return Estimate(mean, mean - half, mean + half)
 
 
 def _right_point(measured: Measured) -> tuple[CriticalPoint | None, complex]:
@@ -176,6 +153,7 @@ def _reasons(measured: Measured, job: Measurement, cycle: float, method: str) ->
         if getattr(measured.found, name, None) is not None and measured.estimate(name) is None:
             reasons.append(
                 Reason(
+                    "quantity.unknown",
                     Weight.NOTE,
                     f"{text} is not identifiable from this record: more travel or speed would show it",
                 )
@@ -184,6 +162,7 @@ def _reasons(measured: Measured, job: Measurement, cycle: float, method: str) ->
     if thesis and relay.period < _LEAST_PERIOD * job.known.dead_time:
         reasons.append(
             Reason(
+                "period.short",
                 Weight.DOUBT,
                 f"the period of {relay.period * 1000:.3g} ms is short against the dead time of "
                 f"{job.known.dead_time * 1000:.3g} ms; more travel would allow a longer one",
@@ -193,6 +172,7 @@ def _reasons(measured: Measured, job: Measurement, cycle: float, method: str) ->
     if cycles < _LEAST_CYCLES[0 if thesis else 1]:
         reasons.append(
             Reason(
+                "cycles.few",
                 Weight.DOUBT,
                 f"a period has only {cycles:.0f} cycles of {cycle * 1000:g} ms; more travel or a "
                 "shorter --cycle would give more",
@@ -202,6 +182,7 @@ def _reasons(measured: Measured, job: Measurement, cycle: float, method: str) ->
     if limited > _LIMITED_SHARE:
         reasons.append(
             Reason(
+                "torque.limited",
                 Weight.CONTRADICTION if limited > _MUCH_LIMITED else Weight.DOUBT,
                 f"the drive's own limiter acted in {100 * limited:.1f} % of the cycles, so that the "
                 "axis did not get the torque that was commanded; raise the drive's limits or lower "
@@ -214,7 +195,9 @@ def _reasons(measured: Measured, job: Measurement, cycle: float, method: str) ->
     cut = [s for s in samples if begin <= s.time <= end]
     torque, command = np.array([s.torque for s in cut]), np.array([s.command for s in cut])
     if is_unsigned(torque, command):
-        reasons.append(Reason(Weight.NOTE, "the drive tells its torque without a sign"))
+        reasons.append(
+            Reason("torque.unsigned", Weight.NOTE, "the drive tells its torque without a sign")
+        )
     reasons += of_torque(
         torque_gain(torque, command),
         dwell_share(record, inertia.value if inertia else job.known.inertia, f),
@@ -225,18 +208,9 @@ def _reasons(measured: Measured, job: Measurement, cycle: float, method: str) ->
     if not 0.2 <= share <= 0.8:
         reasons.append(
             Reason(
+                "share.unsound",
                 Weight.DOUBT,
                 f"friction is {share:.2f} of the smaller amplitude (0.2–0.8 is sound)",
             )
         )
     return reasons
-
-
-def _known(measured: Measured) -> Known:
-    viscous = measured.estimate("viscous")
-    return Known(
-        measured.found.coulomb.value,
-        measured.found.offset.value,
-        viscous.value if viscous else None,
-        viscous.half_width if viscous else 0.0,
-    )

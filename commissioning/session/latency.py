@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 from time import perf_counter
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from commissioning.experiments.design import SHORT
 from commissioning.identification.modulating import estimate
+from commissioning.identification.reasons import Reason, Weight
+from commissioning.result.document import Found, Quality, RunResult
 from commissioning.session.armed import in_a_run
 from commissioning.session.desk import Desk, Options, connect
+from commissioning.session.found import quantity
 from commissioning.session.measurement import Measurement
 from commissioning.session.preflight import CYCLES_A_WATCHDOG
-from commissioning.session.result import estimate_json
 from drivers.drive import GUARDS
 from profiles.axis import Axis
 from profiles.errors import LinkError, MeasurementRejected, UsageError
@@ -77,18 +79,22 @@ class Latency:
         return SHORT.cycles * self.cycle
 
 
-def dead_time(axis: Axis, options: Options, desk: Desk) -> dict[str, Any]:
-    """Result JSON with the dead time by small torque steps, which move the axis; raises Failure."""
+def dead_time(axis: Axis, options: Options, desk: Desk) -> RunResult:
+    """A run with the dead time by small torque steps, which move the axis; raises Failure."""
 
-    def work(job: Measurement, result: dict[str, Any]) -> None:
+    def work(job: Measurement, result: RunResult) -> RunResult:
         record = job.torque_steps()
         try:
             found = estimate(record, any_motion=True)
         except (ValueError, ArithmeticError) as error:
             raise MeasurementRejected(f"the torque steps show no dead time: {error}") from None
-        result["friction"]["method"] = "modulating"
-        result["friction"]["dead_time"] = estimate_json(found.dead_time, "s")
-        result["quality"] = {"verdict": "usable", "reasons": ["torque steps: the dead time only"]}
+        number = quantity(found.dead_time, result.units.dead_time)
+        only = Reason("dead-time.only", Weight.NOTE, "torque steps: the dead time only")
+        return replace(
+            result,
+            friction=Found("modulating", dead_time=number),
+            quality=Quality("usable", (only,)),
+        )
 
     return in_a_run(axis, options, desk, work)
 

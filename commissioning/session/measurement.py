@@ -22,12 +22,13 @@ from commissioning.guardian import Guardian
 from commissioning.identification.modulating import ModulatingEstimate
 from commissioning.identification.record import Record, unfiltered
 from commissioning.identification.verdict import Units
+from commissioning.result.document import Limits
 from commissioning.runner import Recorder, run
+from commissioning.session import preflight
 from commissioning.session.desk import Desk, Options
 from commissioning.session.methods import PACE_IS_LONG, Measured, measure
 from commissioning.session.points import points
 from commissioning.session.preflight import (
-    Limits,
     cautious_speed,
     prove_watchdog,
     set_limits,
@@ -72,7 +73,7 @@ class Measurement:
         options: Options,
         desk: Desk,
         drive: Drive,
-        limits: Limits,
+        limits: preflight.Limits,
         recorder: Recorder,
         settings: Settings,
         guardian: Guardian,
@@ -88,12 +89,12 @@ class Measurement:
         parameters = drive.profile.parameters
         self.context = Context(
             cycle=drive.cycle,
-            resolution=abs(drive.scaling.step(parameters["position_actual"])),
+            resolution=abs(drive.scaling.step(parameters[preflight.POSITION])),
             start=limits.start,
             travel=limits.travel,
             torque=limits.torque,
             speed=limits.speed,
-            torque_resolution=drive.scaling.step(parameters["torque_target"]),
+            torque_resolution=drive.scaling.step(parameters[preflight.TORQUE]),
             position_unit=axis.position_unit,
             effort_unit=axis.effort_unit,
             tell=recorder.phase,
@@ -123,8 +124,21 @@ class Measurement:
             effort_unit=axis.effort_unit,
         )
 
-    def measure(self) -> Measured:
-        """All experiments; the oscillations are run as often as `repeat` says."""
+    @property
+    def allowed(self) -> Limits:
+        """What the run was allowed, for its result."""
+        return Limits(self.limits.travel, self.limits.torque, self.limits.speed)
+
+    def as_the_drive_counts(self, name: str, value: float) -> tuple[float | None, str | None]:
+        """A torque, N.m or N, in steps of the drive, and what a step is; None for other quantities."""
+        if name not in ("coulomb", "offset"):
+            return None, None
+        parameter = self.drive.profile.parameters[preflight.TORQUE]
+        scaling = self.drive.scaling
+        return value / scaling.step(parameter), scaling.raw_unit(parameter)
+
+    def measure(self) -> list[Measured]:
+        """All experiments; the oscillations are run as often as `repeat` says, each with its reading."""
         return self.within_settings(self._experiments)
 
     def torque_steps(self) -> Record:
@@ -250,12 +264,11 @@ class Measurement:
         self.context = replace(self.context, rest=self._rest)
         self._design()
 
-    def _experiments(self) -> Measured:
+    def _experiments(self) -> list[Measured]:
         self.prepare()
         found = [self._once() for _ in range(self.options.repeat)]
-        found[-1].repeats = [one.found.coulomb.value for one in found]
         points(found[-1], self, move=self.options.points)
-        return found[-1]
+        return found
 
     def _once(self) -> Measured:
         measured = measure(self.options.method, self)

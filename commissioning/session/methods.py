@@ -29,12 +29,11 @@ from commissioning.identification.modulating import (
 )
 from commissioning.identification.phase_locked import PhaseLocked, phase_locked
 from commissioning.identification.reading import Reader, by_balance
+from commissioning.identification.reasons import Reason, Weight
 from commissioning.identification.record import Kinematics, Record
 from commissioning.identification.two_relay import FrictionEstimate, from_cycles
 from commissioning.identification.verdict import (
-    Reason,
     Units,
-    Weight,
     agreement,
     of_lock_in,
     of_modulating,
@@ -145,7 +144,6 @@ class Measured:
     second: CriticalPoint | None = None
     points: dict[str, Wished] = field(default_factory=dict)
     reasons: list[Reason] = field(default_factory=list)
-    repeats: list[float] = field(default_factory=list)
 
     @property
     def method(self) -> str:
@@ -216,13 +214,18 @@ def _auto(rig: Rig) -> Measured:
     measured.modulating = fast
     measured.reasons = of_modulating(fast, rig.units)
     measured.reasons.insert(
-        0, Reason(Weight.NOTE, f"{measured.periods} periods, because of {_why(first)}")
+        0,
+        Reason(
+            "periods.more", Weight.NOTE, f"{measured.periods} periods, because of {_why(first)}"
+        ),
     )
     measured.corrected, measured.second = short.corrected, short.second
     try:
         measured.lock_in, second = _balance(record, more, rig)
     except ValueError as error:
-        measured.reasons.append(Reason(Weight.DOUBT, f"no exact balance to compare with: {error}"))
+        measured.reasons.append(
+            Reason("balance.none", Weight.DOUBT, f"no exact balance to compare with: {error}")
+        )
         return measured
     if not first.held_out < EXPLAINS:  # no law explains the record: the balance needs none
         measured.second = second
@@ -282,6 +285,7 @@ def _lock_in(rig: Rig) -> Measured:
         if not held.settled:
             measured.reasons.append(
                 Reason(
+                    "not-settled",
                     Weight.DOUBT,
                     f"oscillation {number} did not settle within {held.periods} periods",
                 )
@@ -361,6 +365,7 @@ def _thesis(rig: Rig, switching: Switching) -> Measured:
         if not cycle.settled:
             measured.reasons.append(
                 Reason(
+                    "not-settled",
                     Weight.DOUBT,
                     f"relay test {number} did not settle within {cycle.periods} periods",
                 )
@@ -391,7 +396,9 @@ def _all(rig: Rig) -> Measured:
         try:
             other = run()
         except (MeasurementRejected, ValueError) as error:
-            measured.reasons.append(Reason(Weight.NOTE, f"{name.replace('_', '-')}: {error}"))
+            measured.reasons.append(
+                Reason("method.failed", Weight.NOTE, f"{name.replace('_', '-')}: {error}")
+            )
             continue
         setattr(measured, name, getattr(other, name))
         measured.periods += other.periods

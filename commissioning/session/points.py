@@ -15,8 +15,8 @@ from commissioning.identification.estimate import Estimate
 from commissioning.identification.lock_in import phasors
 from commissioning.identification.modulating import EXPLAINS
 from commissioning.identification.reading import Reader, by_balance
+from commissioning.identification.reasons import Reason, Weight
 from commissioning.identification.record import kinematics
-from commissioning.identification.verdict import Reason, Weight
 from commissioning.session.methods import Measured, Rig, Wished
 from profiles.errors import MeasurementRejected
 
@@ -70,10 +70,14 @@ def points(measured: Measured, rig: Rig, *, move: bool) -> None:
             _, travel, why_not = _wanted(wished.point, measured, rig)
             wished = Wished(wished.point, travel, why_not or "not asked for")
         measured.points[key] = wished
-        if wished.why_not and (move or (wished.point is None and model["inertia"] is not None)):
+        if wished.why_not and (move or (wished.point is None and model.get("inertia") is not None)):
             how = "computed from the model" if wished.point else "not known"
             measured.reasons.append(
-                Reason(Weight.NOTE, f"the plant at {phase:g}° is {how}: {wished.why_not}")
+                Reason(
+                    "point.not-measured",
+                    Weight.NOTE,
+                    f"the plant at {phase:g}° is {how}: {wished.why_not}",
+                )
             )
 
 
@@ -119,7 +123,7 @@ def _measured(
         (abs(off) > _FAR, f"the point that was measured for {phase:g}° lies {off:+.1f}° from it"),
     ):
         if applies:
-            measured.reasons.append(Reason(Weight.DOUBT, text))
+            measured.reasons.append(Reason("point.off", Weight.DOUBT, text))
     return Wished(found, travel, "")
 
 

@@ -28,6 +28,8 @@ __all__ = [
     "writes",
 ]
 
+POSITION, TORQUE = "position_actual", "torque_target"  # as every profile names them
+
 _AT_REST_COUNTS = 3
 _LOOK, _PATIENCE = 0.05, 1.0  # s; it may still settle from what was before
 CYCLES_A_WATCHDOG = 3
@@ -106,7 +108,7 @@ def still_moving(drive: Drive, patience: float = _PATIENCE) -> float:
 
     `patience` : s until it has to be
     """
-    step = abs(drive.scaling.step(drive.profile.parameters["position_actual"]))
+    step = _count(drive)
     for _ in range(ceil(patience / _LOOK)):
         before = drive.read("position_actual")
         drive.wait(_LOOK)
@@ -114,6 +116,11 @@ def still_moving(drive: Drive, patience: float = _PATIENCE) -> float:
         if moved <= _AT_REST_COUNTS * step:
             return 0.0
     return moved
+
+
+def _count(drive: Drive) -> float:
+    """Position of one encoder count, rad or m."""
+    return abs(drive.scaling.step(drive.profile.parameters[POSITION]))
 
 
 def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
@@ -124,7 +131,7 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
             f"how far may the axis move? Give --travel ±X in {axis.position_unit} about the "
             "present position, or an axis file with travel"
         )
-    count = abs(drive.scaling.step(drive.profile.parameters["position_actual"]))
+    count = _count(drive)
     if travel < _FEWEST_COUNTS * count:
         raise PreflightRefused(
             f"the travel of ±{travel:.4g} {axis.position_unit} is too small: it is "
@@ -133,29 +140,30 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
         )
     mechanics = axis.mechanics
     rated = drive.scaling.rated_torque * mechanics.effort_per_torque
-    named = drive.profile.limits
-    most = drive.read(named["torque"]) if "torque" in named else rated
+    own = drive.profile.limits
+    by_torque, by_current, by_speed = own.get("torque"), own.get("current"), own.get("speed")
+    address = {name: known.address for name, known in drive.profile.parameters.items()}
+    most = drive.read(by_torque) if by_torque else rated
     asked = options.max_torque or axis.limits.torque
     if most <= 0:
         if asked is None:
             raise PreflightRefused(
-                f"the drive's own torque limit ('{named.get('torque')}') reads {most:g} {axis.effort_unit}, "
+                f"the drive's own torque limit ('{by_torque}') reads {most:g} {axis.effort_unit}, "
                 f"which is no limit, or no torque: set it in the drive, or give --max-torque in "
                 f"{axis.effort_unit}, which is set for the experiment"
             )
         most = asked
-    by = drive.profile.parameters[named["torque"]].address if "torque" in named else "rated torque"
-    current = drive.read(named["current"]) if "current" in named else 0.0
-    if 0 < current < most:
-        most, by = current, drive.profile.parameters[named["current"]].address
+    by = str(address[by_torque]) if by_torque else "rated torque"
+    if by_current and 0 < (current := drive.read(by_current)) < most:
+        most, by = current, str(address[by_current])
     torque = asked or min(rated, most)
-    fastest = drive.read(named["speed"]) if "speed" in named else None
+    fastest = drive.read(by_speed) if by_speed else None
     speed = options.max_speed or axis.limits.speed or fastest
     if not speed:
         has = (
             "The drive has no speed limit"
-            if fastest is None
-            else f"The drive's speed limit ({drive.profile.parameters[named['speed']].address}) reads 0"
+            if by_speed is None
+            else f"The drive's speed limit ({address[by_speed]}) reads 0"
         )
         raise UsageError(
             f"how fast may the axis move? {has}: give --max-speed in {axis.position_unit}/s"

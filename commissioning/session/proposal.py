@@ -4,47 +4,75 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from commissioning.compensation import Change, Known, propose
+from commissioning.compensation import host_terms, propose
+from commissioning.identification.reasons import Reason, Weight
+from commissioning.result.document import Change, Quality, RunResult
 from drivers.drive import Drive
 from profiles.errors import AccessDenied, WriteFailed
 from profiles.schema import Trust
 
-__all__ = ["own_estimate", "proposal"]
+__all__ = ["with_proposal"]
 
 
-def proposal(drive: Drive, known: Known, fraction: float, reasons: list[str]) -> list[Change]:
-    """What would be written; what the drive cannot hold goes into `reasons` instead."""
-    law = drive.profile.compensation
+def with_proposal(result: RunResult, drive: Drive, fraction: float) -> RunResult:
+    """`result` with what would be written to the drive for it, and what the drive says itself."""
+    if result.friction.coulomb is None:
+        return result
+    changes, reasons = _changes(result, drive, fraction)
+    own = _own_estimate(drive, result.friction.coulomb.value)
+    quality = Quality(
+        result.quality.verdict, (*result.quality.reasons, *reasons, *([own] if own else ()))
+    )
+    host = host_terms(drive.profile, drive.scaling, result.friction, fraction)
+    return replace(result, compensation=changes, host_compensation=host, quality=quality)
+
+
+def _note(code: str, text: str) -> Reason:
+    return Reason(code, Weight.NOTE, text)
+
+
+def _changes(
+    result: RunResult, drive: Drive, fraction: float
+) -> tuple[tuple[Change, ...], list[Reason]]:
+    """The proposal; what the drive cannot hold is among the reasons instead."""
+    law, found, reasons = drive.profile.compensation, result.friction, []
     if not law.terms:
-        return []
+        return (), []
     old = {name: drive.read_raw(name) for name in law.terms.values()}
     doubtful = [n for n in old if drive.profile.parameters[n].trust is Trust.UNVERIFIED]
     if doubtful:
         reasons.append(
-            f"apply will refuse {', '.join(doubtful)}: unverified in profile '{drive.profile.name}'; check "
-            "them in the drive's manual, mark them in a copy of the profile, and identify with that"
+            _note(
+                "proposal.unverified",
+                f"apply will refuse {', '.join(doubtful)}: unverified in profile '{drive.profile.name}'; "
+                "check them in the drive's manual, mark them in a copy of the profile, and identify with "
+                "that",
+            )
         )
-    for attempt in (known, replace(known, viscous=None)):
+    for attempt in (found, replace(found, viscous=None)):
         try:
-            return propose(drive.profile, drive.scaling, attempt, old, fraction)
+            changes = propose(drive.profile, drive.scaling, attempt, old, fraction)
         except WriteFailed as error:
-            reasons.append(f"not proposed: {error}")
-    return []
+            reasons.append(_note("proposal.impossible", f"not proposed: {error}"))
+        else:
+            return tuple(changes), reasons
+    return (), reasons
 
 
-def own_estimate(drive: Drive, coulomb: float) -> str:
-    """The drive's own estimate of the friction beside ours (N.m or N), or '' where it has none."""
+def _own_estimate(drive: Drive, coulomb: float) -> Reason | None:
+    """The drive's own estimate of the friction beside ours (N.m or N), where it has one."""
     name = drive.profile.own_estimates.get("coulomb")
     if name is None:
-        return ""
+        return None
     try:
         own = abs(drive.read(name))
     except AccessDenied:
-        return ""
+        return None
     if not own > 0:
-        return ""
+        return None
     unit = drive.scaling.unit_text(drive.profile.parameters[name])
-    return (
+    return _note(
+        "drive.estimate",
         f"the drive's own estimate of the Coulomb friction ({name}) is {own:.4g} {unit}: "
-        f"{100 * (own / coulomb - 1):+.0f} % against the one found here"
+        f"{100 * (own / coulomb - 1):+.0f} % against the one found here",
     )

@@ -58,9 +58,7 @@ def prune(before: float, desk: Desk, *, dry_run: bool) -> Pruned:
         if used is None:
             continue
         context = record.context
-        in_progress = record.status == "running" and is_alive(
-            context.get("pid"), context.get("started")
-        )
+        in_progress = record.status == "running" and is_alive(context.pid, context.started)
         if record.id in waiting or in_progress:
             kept.append(record.id)
             continue

@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite, pi
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from commissioning.identification.critical_point import CriticalPoint
+from commissioning.result.document import (
+    LOOPS,
+    Change,
+    CriticalPoints,
+    Experiment,
+    GainSet,
+    Mark,
+    Point,
+    RunResult,
+    Setup,
+    StepResponse,
+)
 from commissioning.runs import resolve
 from commissioning.session.apply import axis_of_run
 from commissioning.session.desk import Desk
@@ -26,7 +38,9 @@ from profiles.schema import Profile
 
 __all__ = ["DriveLoop", "Tuned", "tune", "tune_run"]
 
-_SHOWN = 100  # points of a step in the JSON
+Array = NDArray[np.float64]
+
+_SHOWN = 100  # points of a step's picture
 _SEEN = 7  # harmonics of a square wave that show the axis
 _RIGID, _RIGID_NOISE = 0.006, 3.0  # of the torque, and times the noise: left by a rigid axis
 _HARMONICS_AGREE = 0.05  # of the friction
@@ -44,13 +58,19 @@ class DriveLoop:
 
 @dataclass(frozen=True, slots=True)
 class Tuned:
-    """`tuning` of the result JSON, and what there is to say about it."""
+    """Gains, and what there is to say about them.
 
-    sets: list[dict[str, Any]]
-    notes: list[str]
+    Attributes
+    ----------
+    curves : (2, n) time and position of the step of each set, by `step.` and its name
+    """
+
+    sets: tuple[GainSet, ...]
+    notes: tuple[str, ...]
+    curves: dict[str, Array]
 
 
-def tune(result: dict[str, Any], axis: Axis, profile: Profile, drive: DriveLoop) -> Tuned:
+def tune(result: RunResult, axis: Axis, profile: Profile, drive: DriveLoop) -> Tuned:
     """Gains for the axis of a completed run.
 
     Raises
@@ -60,108 +80,121 @@ def tune(result: dict[str, Any], axis: Axis, profile: Profile, drive: DriveLoop)
     UsageError
         The run is from an older tworelay and lacks what is needed.
     """
-    run = result.get("run")
-    coulomb = result["friction"].get("coulomb")
-    if result["status"] != "completed" or not coulomb or coulomb["value"] is None:
+    if result.coulomb is None:
         raise Refused(
-            f"run {run} is {result['status']}: without a friction that can be trusted no gain is "
+            f"run {result.run} is {result.status}: without a friction that can be trusted no gain is "
             "proposed; identify the axis again"
         )
     try:
         with np.errstate(divide="raise", invalid="raise"):
             return _tune(result, axis, profile, drive)
-    except (KeyError, TypeError, IndexError, ArithmeticError, ValueError) as error:
+    except (ArithmeticError, ValueError, TypeError) as error:  # a root of a negative number
         raise UsageError(
-            f"run {run}: lacks what tuning needs ({type(error).__name__}: {error}); identify the axis "
-            "again"
+            f"run {result.run}: its numbers make no loop ({error}); identify the axis again"
         ) from None
 
 
-def _tune(result: dict[str, Any], axis: Axis, profile: Profile, drive: DriveLoop) -> Tuned:
-    friction, experiment = result["friction"], result["experiment"]
+def _tune(result: RunResult, axis: Axis, profile: Profile, drive: DriveLoop) -> Tuned:
+    known, watched, setup = _known(result)
     notes: list[str] = []
-    unknown = [
-        text
-        for key, text in (("inertia", "inertia"), ("dead_time", "dead time"))
-        if friction[key]["value"] is None
-    ]
-    if unknown:
-        raise Refused(
-            f"run {result['run']}: {' and '.join(unknown)} could not be identified, so no gain is "
-            "proposed; more travel, or method auto, would show it"
-        )
-    known = _known(result)
-    dead_time, cycle = friction["dead_time"]["value"], experiment["cycle"]
     viscous = known.viscous or 0.0
-    host = LoopPlant(known.inertia, viscous, dead_time + experiment["turnaround"], cycle)
-    sets = [_json(p, None) for p in proposals(known, "host", host)]
-    own = _own_loop(profile, drive, experiment.get("loop_lag", 0.0))
+    host = LoopPlant(known.inertia, viscous, known.dead_time + setup.turnaround, watched.cycle)
+    found: list[tuple[Proposal, tuple[Change, ...]]] = [
+        (proposal, ()) for proposal in proposals(known, "host", host)
+    ]
+    own = _own_loop(profile, drive, setup.loop_lag)
     if own is None:
         notes.append(
             f"no gains for the drive's own loops: profile '{profile.name}' does not say their dead "
             "time; give --drive-dead-time"
         )
-        return Tuned(_marked(sets), notes)
-    inside = LoopPlant(known.inertia, viscous, *own)
-    bases = experiment["bases"]
-    scaling = Scaling(
-        bases["rated_torque"], bases["increments_per_revolution"], axis.mechanics,
-        bases.get("torque_constant", 0.0),
-    )  # fmt: skip
-    sets += [
-        _json(proposal, _parameters(proposal, profile, scaling))
-        for proposal in proposals(known, "drive", inside, _holder(profile, scaling))
-    ]
-    return Tuned(_marked(sets), notes)
+    else:
+        inside = LoopPlant(known.inertia, viscous, *own)
+        bases = setup.bases
+        scaling = Scaling(
+            bases.rated_torque, bases.increments_per_revolution, axis.mechanics,
+            bases.torque_constant,
+        )  # fmt: skip
+        found += [
+            (proposal, _parameters(proposal, profile, scaling))
+            for proposal in proposals(known, "drive", inside, _holder(profile, scaling))
+        ]
+    best = _best([proposal for proposal, _ in found])
+    sets = tuple(
+        _set(proposal, held, best=any(proposal is one for one in best)) for proposal, held in found
+    )
+    curves = {
+        f"step.{one.name}": _curve(proposal.step)
+        for one, (proposal, _) in zip(sets, found, strict=True)
+        if proposal.step
+    }
+    return Tuned(sets, tuple(notes), curves)
 
 
-def _known(result: dict[str, Any]) -> Known:
-    friction, experiment = result["friction"], result["experiment"]
-    points = result["critical_point"] or {}
-    first = experiment["first_look"]
-    coulomb = friction["coulomb"]["value"]
-    return Known(
-        inertia=friction["inertia"]["value"],
-        viscous=friction["viscous"]["value"],
-        dead_time=friction["dead_time"]["value"],
-        friction_share=coulomb / experiment["cycles"][0]["relay_amplitude"],
-        naive=_point(points.get("naive")),
-        corrected=_point(points.get("corrected")),
+def _known(result: RunResult) -> tuple[Known, Experiment, Setup]:
+    """What a run knows of its axis; raises Refused, UsageError."""
+    found, watched, points = result.friction, result.experiment, result.critical_point
+    coulomb, inertia, dead_time = found.coulomb, found.inertia, found.dead_time
+    unknown = [text for q, text in ((inertia, "inertia"), (dead_time, "dead time")) if q is None]
+    if inertia is None or dead_time is None:
+        raise Refused(
+            f"run {result.run}: {' and '.join(unknown)} could not be identified, so no gain is "
+            "proposed; more travel, or method auto, would show it"
+        )
+    setup = watched.setup if watched else None
+    if coulomb is None or watched is None or setup is None or watched.limits is None:
+        raise UsageError(
+            f"run {result.run}: lacks what tuning needs (how it was measured); identify the axis again"
+        )
+    amplitude = watched.cycles[0].relay_amplitude if watched.cycles else None
+    if not amplitude:
+        raise UsageError(
+            f"run {result.run}: lacks what tuning needs (its oscillations); identify the axis again"
+        )
+    points = points or CriticalPoints()
+    known = Known(
+        inertia=inertia.value,
+        viscous=found.viscous.value if found.viscous else None,
+        dead_time=dead_time.value,
+        friction_share=coulomb.value / amplitude,
+        naive=_point(points.naive),
+        corrected=_point(points.corrected),
         measured={
             phase: point
             for key, phase in TARGETS.items()
-            if (tree := points.get(key)) and tree["how"] == "measured" and (point := _point(tree))
+            if (there := points.point(key)) and there.how == "measured" and (point := _point(there))
         },
         friction=Friction(
-            coulomb,
-            max(first["breakaway"], coulomb),
-            friction["offset"]["value"],
-            experiment["limits"]["torque"],
-            experiment["resolution"],
+            coulomb.value,
+            max(setup.first_look.breakaway, coulomb.value),
+            found.offset.value if found.offset else 0.0,
+            watched.limits.torque,
+            setup.resolution,
         ),
-        travel=experiment["limits"]["travel"],
-        seen=_seen(result),
+        travel=watched.limits.travel,
+        seen=_seen(result, watched),
     )
+    return known, watched, setup
 
 
-def _point(tree: dict[str, Any] | None) -> CriticalPoint | None:
-    return tree and CriticalPoint(tree["gain"], tree["phase_deg"], tree["period"])  # type: ignore[return-value]
+def _point(point: Point | None) -> CriticalPoint | None:
+    return None if point is None else CriticalPoint(point.gain, point.phase_deg, point.period)
 
 
-def _seen(result: dict[str, Any]) -> float:
+def _seen(result: RunResult, watched: Experiment) -> float:
     """Frequency up to which the record shows a rigid axis, rad/s.
 
     A square wave shows it up to its seventh harmonic; where the model leaves something, or the harmonics
-    contradict each other, only at the fundamental.
+    contradict each other, or neither is known, only at the fundamental.
     """
-    fundamental = 2 * pi / result["experiment"]["cycles"][0]["period"]
-    methods = result["methods"]
-    if "modulating" in methods:
-        fit = methods["modulating"]
-        rigid = fit["held_out"] <= max(_RIGID, _RIGID_NOISE * fit["noise"])
-    else:
-        f = methods["lock-in"]["harmonics"]
-        rigid = abs(f["5"] / f["1"] - 1) < _HARMONICS_AGREE
+    fundamental = 2 * pi / watched.cycles[0].period
+    fit, exact = result.methods.modulating, result.methods.lock_in
+    rigid = False
+    if fit is not None and fit.held_out is not None:
+        rigid = fit.held_out <= max(_RIGID, _RIGID_NOISE * (fit.noise or 0.0))
+    elif exact is not None and exact.harmonics:
+        f = exact.harmonics
+        rigid = abs(f.get("5", 0.0) / (f.get("1") or 1.0) - 1) < _HARMONICS_AGREE
     return float((_SEEN if rigid else 1) * fundamental)
 
 
@@ -213,87 +246,67 @@ def _holder(profile: Profile, scaling: Scaling) -> Hold:
     return hold
 
 
-def _parameters(
-    proposal: Proposal, profile: Profile, scaling: Scaling
-) -> list[dict[str, Any]] | None:
+def _parameters(proposal: Proposal, profile: Profile, scaling: Scaling) -> tuple[Change, ...]:
     """The gains in the drive's own units, where the profile maps them."""
     if not _mapped(profile, proposal.gains) or profile.loops is None or not proposal.proposed:
-        return None
+        return ()
     found = []
     for term, name in profile.loops.terms.items():
         parameter, value = profile.parameters[name], getattr(proposal.gains, term)
         raw = scaling.to_raw(parameter, value)
         found.append(
-            {
-                "parameter": name, "new": value, "unit": scaling.unit_text(parameter),
-                "new_raw": raw, "raw_unit": scaling.raw_unit(parameter),
-                "rounded_by": scaling.to_si(parameter, raw) - value,
-            }
+            Change(
+                name, value, scaling.unit_text(parameter), scaling.to_si(parameter, raw) - value, raw,
+                scaling.raw_unit(parameter), why=f"gain by {proposal.rule}",
+            )
         )  # fmt: skip
-    return found
+    return tuple(found)
 
 
-def _json(proposal: Proposal, parameters: list[dict[str, Any]] | None) -> dict[str, Any]:
-    worth, point, gains = proposal.margins, proposal.point, proposal.gains
-    return {
-        "rule": proposal.rule,
-        "loop": proposal.loop,
-        "source": proposal.source,
-        "point": point
-        and {"gain": point.gain, "phase_deg": point.phase_deg, "period": point.period},
-        "gains": gains
-        and {
-            name: value if isfinite(value := getattr(gains, name)) else None
-            for name in gains.__slots__
-        },
-        "phase_margin_deg": worth and worth.phase,
-        "gain_margin_db": worth and worth.gain_db,
-        "ms": worth and worth.sensitivity,
-        "stable": worth and worth.stable,
-        "crossover": worth and worth.crossover,
-        "bandwidth": worth and worth.bandwidth,
-        "step": proposal.step and _step(proposal.step),
-        "proposed": proposal.proposed,
-        "best": False,
-        "why_not": proposal.why_not,
-        "parameters": parameters or [],
-        "written": False,
-    }
+def _set(proposal: Proposal, parameters: tuple[Change, ...], *, best: bool) -> GainSet:
+    point, gains, worth, step = proposal.point, proposal.gains, proposal.margins, proposal.step
+    mark = response = None
+    if point is not None:
+        mark = Mark(point.gain, point.phase_deg, point.period)
+    if step is not None:
+        response = StepResponse(step.overshoot, step.settling, step.error, step.hunting, step.size)
+    of_rule = proposal.rule, proposal.loop, proposal.source, mark
+    if gains is None or worth is None:
+        return GainSet(*of_rule, why_not=proposal.why_not)
+    numbers = {name: _finite(getattr(gains, name)) for name in gains.__slots__}
+    return GainSet(
+        *of_rule, numbers, worth.phase, worth.gain_db, worth.sensitivity, worth.stable, worth.crossover,
+        worth.bandwidth, response, proposal.proposed, best, proposal.why_not, parameters,
+    )  # fmt: skip
 
 
-def _step(step: Step) -> dict[str, Any]:
+def _finite(value: float) -> float | None:
+    return value if isfinite(value) else None
+
+
+def _curve(step: Step) -> Array:
+    """Time and position, thinned for a picture, (2, n)."""
     stride = max(len(step.time) // _SHOWN, 1)
-    return {
-        "size": step.size,
-        "overshoot": step.overshoot,
-        "settling": step.settling,
-        "error": step.error,
-        "hunting": step.hunting,
-        "time": [float(f"{t:.5g}") for t in step.time[::stride]],
-        "position": [float(f"{y:.5g}") for y in step.position[::stride]],
-    }
+    return np.stack((np.asarray(step.time)[::stride], np.asarray(step.position)[::stride]))
 
 
-def _marked(sets: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The fastest of the proposed sets of each loop is its best."""
-    for loop in ("host", "drive"):
-        sound = [s for s in sets if s["loop"] == loop and s["proposed"] and s["step"]]
+def _best(found: list[Proposal]) -> list[Proposal]:
+    """The fastest of the proposed sets of each loop."""
+    best = []
+    for loop in LOOPS:
+        sound = [p for p in found if p.loop == loop and p.proposed and p.step and p.margins]
         if sound:
-            max(sound, key=lambda s: s["crossover"])["best"] = True
-    return sets
+            best.append(max(sound, key=lambda p: (p.margins and p.margins.crossover) or 0.0))
+    return best
 
 
-def tune_run(run: str, drive: DriveLoop, desk: Desk) -> tuple[dict[str, Any], list[str]]:
+def tune_run(run: str, drive: DriveLoop, desk: Desk) -> tuple[RunResult, tuple[str, ...]]:
     """Tune a run, keep the gains with it, and return its result and what there is to say."""
     run_id, folder = resolve(desk.journal, run)
-    result = folder.result()
-    axis = axis_of_run(folder.record(desk.journal, run_id), folder, None)
+    history = folder.history(desk.journal, run_id)
+    result = folder.result(history)
+    axis = axis_of_run(history.run, folder, None)
     tuned = tune(result, axis, load_profile(axis.profile or ""), drive)
-    for item in tuned.sets:  # what is in the drive stays said
-        item["written"] = any(
-            before.get("written") and before["parameters"] == item["parameters"] != []
-            for before in result["tuning"]
-        )
-    result["tuning"] = tuned.sets
-    folder.save(result, None, None)
+    result = replace(result, tuning=tuned.sets)
+    folder.save(result, curves=tuned.curves)
     return result, tuned.notes

@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from commissioning.experiments.tracking import TURNS, TrackingPath, TrackingSamples, path_for
 from commissioning.guardian import guarded
 from commissioning.identification.tracking import TrackingError, at_rest, creeping, reversal_error
 from commissioning.journal import RESTORED, STORED, STORING, RunRecord
+from commissioning.result.document import RunResult, Trial, Verification, Written
 from commissioning.runner import Recorder
 from commissioning.session.apply import axis_of_run, own_run, store, unverified
 from commissioning.session.armed import noted
 from commissioning.session.desk import Desk, Options, connect, none_unfinished, same_drive
+from commissioning.session.ending import axis_state, close_act
 from commissioning.session.measurement import Measurement
 from commissioning.session.preflight import check_watchdog, choose_limits, look
 from commissioning.settings import Settings
 from drivers.drive import Drive
 from drivers.sample import Sample
 from profiles.axis import Axis
-from profiles.errors import PreflightRefused, Refused, TwoRelayError, WriteFailed
+from profiles.errors import DoesNotHelp, PreflightRefused, Refused, TwoRelayError
 from profiles.schema import Mode, Profile
 
-__all__ = ["provable", "verify"]
+__all__ = ["Wishes", "provable", "verify"]
 
 _STEPS = 0.5, 0.7  # of the friction; then the fraction of the run
 _WHOLE = "offset", "points", "speed"  # terms of a law that are no friction
@@ -33,6 +35,7 @@ _NOISE = 2.0  # counts more: from here on a step does harm
 _SHOWN = 400  # points of a trace
 
 Raw = dict[str, int]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,104 +45,140 @@ class _Step:
     fraction: float  # of the friction that is compensated
     raw: Raw
     error: TrackingError
-    trace: dict[str, list[float]]
+    trace: Array  # (3, n): time, command, error
 
-    def json(self, *, kept: bool) -> dict[str, Any]:
+    def trial(self, *, kept: bool) -> Trial:
         """For the result; rad or m."""
-        return {
-            "fraction": self.fraction, "reversal_error": self.error.reversal,
-            "low_speed_error": self.error.low_speed, "rest_swing": self.error.rest,
-            "hunts": self.error.hunts, "kept": kept, "trace": self.trace,
-        }  # fmt: skip
+        error = self.error
+        return Trial(self.fraction, error.reversal, error.low_speed, error.rest, error.hunts, kept)
+
+
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """What is to be other than in the run; None: as it was there."""
+
+    travel: float | None = None
+    max_speed: float | None = None
+    cycle: float | None = None
+    without_watchdog: bool = False
 
 
 def verify(
-    run: str, link: str | None, desk: Desk, limits: dict[str, Any], *, unproved: bool = False
-) -> dict[str, Any]:
+    run: str, link: str | None, desk: Desk, wishes: Wishes, *, unproved: bool = False
+) -> RunResult:
     """Measure without and with the compensation of `run` and leave the best in the drive.
 
-    `limits`: options by name, where they are to be others than those of the run. `unproved`: what is in the
-    drive was written for this proof only, and whoever did so takes it back should this fail. Returns the
-    result JSON.
+    `unproved`: what is in the drive was written for this proof only, and whoever did so takes it back should
+    this fail. Returns the result.
 
     Raises
     ------
-    WriteFailed
+    DoesNotHelp
         No step helps; the values from before the run are in the drive, and in its memory.
     TwoRelayError
         Anything else; the drive has the values that it had when this began, or the message says what it has.
     """
     run_id, folder = own_run(desk.journal, run)
-    record, result = desk.journal.run(run_id), folder.result()
+    history = desk.journal.history(run_id)
+    record, result = history.run, folder.result(history)
     _check(result, run_id)
     axis = axis_of_run(record, folder, link)
-    options = _options(result, limits, adopted=record.adopted)
+    options = _options(result, wishes, adopted=record.adopted)
     with connect(axis, options.cycle, desk, f"run {run_id}") as drive:
         _look(drive, axis, options, desk, record)
         settings = Settings(desk.journal, run_id, drive)
         room = choose_limits(drive, axis, options)
-        with guarded(drive, axis, folder.profile_path(), run_id, desk.journal.folder) as guardian:
-            recorder = Recorder(on_phase=desk.tell)
-            job = Measurement(axis, options, desk, drive, room, recorder, settings, guardian)
-            try:
-                steps, kept = _with_steps(job, result, unproved=unproved)
-            finally:
-                if told := noted(guardian):
-                    result.setdefault("notes", []).extend(told)
-                    folder.save(result, None, None)
-    unit = axis.position_unit
-    result["verification"] = {
-        "unit": unit,
-        "kept_fraction": None if kept is None else kept.fraction,
-        "steps": [step.json(kept=step is kept) for step in steps],
-    }
-    for item in result["compensation"]:
-        item["written"] = kept is not None
-        if kept is not None:
-            item["new_raw"] = kept.raw[item["parameter"]]
-            item["new"] = drive.scaling.to_si(
-                drive.profile.parameters[item["parameter"]], item["new_raw"]
-            )
-    folder.save(result, None, None)
-    if kept is None:
-        before, last = steps[0].error, steps[-1].error
-        raise WriteFailed(
-            f"the compensation does not help: error after reversals {before.reversal:.3g} {unit} without, "
-            f"{last.reversal:.3g} {unit} with {100 * steps[-1].fraction:g} % of the friction compensated"
-            + (", and the axis hunts" if last.hunts else "")
-            + (
-                ". The error grows with it: is the compensation's sign right in the profile (negative_sign), "
-                "and the drive's polarity?"
-                if last.reversal > _WORSE * before.reversal
-                else ""
-            )
-            + "; the values from before the run are back in the drive"
-        )
+        notes: list[str] = []
+        try:
+            with guarded(
+                drive, axis, folder.profile_path(), run_id, desk.journal.folder
+            ) as guardian:
+                recorder = Recorder(on_phase=desk.tell)
+                job = Measurement(axis, options, desk, drive, room, recorder, settings, guardian)
+                try:
+                    steps, kept = _with_steps(job, result, unproved=unproved)
+                finally:
+                    notes += noted(guardian)
+        except TwoRelayError as error:
+            result = replace(result, notes=(*result.notes, *notes))
+            close_act(desk, folder, result, axis_state(drive, axis), error)
+            raise
+        result = _proved(replace(result, notes=(*result.notes, *notes)), drive, steps, kept)
+        useless = None if kept else _no_help(result, steps)
+        curves = {f"verify.{number}": step.trace for number, step in enumerate(steps)}
+        result = close_act(desk, folder, result, axis_state(drive, axis), useless, curves)
+    if useless is not None:
+        raise useless
     return result
 
 
-def _check(result: dict[str, Any], run_id: str) -> None:
-    if result["status"] != "completed" or not result["compensation"]:
+def _proved(result: RunResult, drive: Drive, steps: list[_Step], kept: _Step | None) -> RunResult:
+    """The result with what was measured, and with the values that stay."""
+    before = steps[0].error.reversal
+    found = Verification(
+        result.units.position,
+        tuple(step.trial(kept=step is kept) for step in steps),
+        None if kept is None else kept.fraction,
+        None if kept is None else 100 * (1 - kept.error.reversal / before),
+    )
+    result = replace(result, verification=found)
+    if kept is None:
+        return replace(result, written=())
+    parameters = drive.profile.parameters
+    stays = tuple(
+        replace(
+            change,
+            new_raw=kept.raw[change.parameter],
+            new=drive.scaling.to_si(parameters[change.parameter], kept.raw[change.parameter]),
+        )
+        for change in result.compensation
+    )
+    written = (
+        Written(c.parameter, "compensation", c.new_raw, c.new, c.unit)
+        for c in stays
+        if c.old_raw != c.new_raw
+    )
+    others = (one for one in result.written if one.kind == "gain")
+    return replace(
+        result, compensation=stays, written=(*others, *written), status="completed", error=None
+    )
+
+
+def _no_help(result: RunResult, steps: list[_Step]) -> DoesNotHelp:
+    before, last, unit = steps[0].error, steps[-1].error, result.units.position
+    return DoesNotHelp(
+        f"the compensation does not help: error after reversals {before.reversal:.3g} {unit} without, "
+        f"{last.reversal:.3g} {unit} with {100 * steps[-1].fraction:g} % of the friction compensated"
+        + (", and the axis hunts" if last.hunts else "")
+        + (
+            ". The error grows with it: is the compensation's sign right in the profile (negative_sign), "
+            "and the drive's polarity?"
+            if last.reversal > _WORSE * before.reversal
+            else ""
+        )
+        + "; the values from before the run are back in the drive"
+    )
+
+
+def _check(result: RunResult, run_id: str) -> None:
+    if not result.measured or not result.compensation:
         reason = (
-            "it proposes no compensation"
-            if result["status"] == "completed"
-            else f"its status is '{result['status']}'"
+            "it proposes no compensation" if result.measured else f"its status is '{result.status}'"
         )
         raise Refused(f"run {run_id} cannot be verified: {reason}")
 
 
-def _options(result: dict[str, Any], limits: dict[str, Any], *, adopted: bool) -> Options:
+def _options(result: RunResult, wishes: Wishes, *, adopted: bool) -> Options:
     """Those of the run, unless they are given anew; of an adopted run nobody here has agreed to any."""
-    experiment = {} if adopted else result["experiment"] or {}
-    was = experiment.get("limits") or {}
-    named = {
-        "travel": was.get("travel"),
-        "max_speed": was.get("speed"),
-        "max_torque": was.get("torque"),
-        "cycle": experiment.get("cycle"),
-    }
-    given = {name: value for name, value in limits.items() if value is not None}
-    return Options(**{**named, **given})
+    was = None if adopted else result.experiment
+    limits = was.limits if was else None
+    return Options(
+        travel=wishes.travel or (limits.travel if limits else None),
+        max_speed=wishes.max_speed or (limits.speed if limits else None),
+        max_torque=limits.torque if limits else None,
+        cycle=wishes.cycle or (was.cycle if was else None),
+        without_watchdog=wishes.without_watchdog,
+    )
 
 
 def provable(profile: Profile) -> None:
@@ -160,7 +199,7 @@ def _look(drive: Drive, axis: Axis, options: Options, desk: Desk, record: RunRec
     """Everything that is looked at before the axis may move."""
     identity = drive.identity()
     same_drive(identity, record.serial, record.id, drive.link, desk)
-    none_unfinished(desk, identity.serial)
+    none_unfinished(desk, identity.serial, drive.link)
     provable(drive.profile)
     law = drive.profile.compensation
     unverified(
@@ -180,16 +219,15 @@ def _look(drive: Drive, axis: Axis, options: Options, desk: Desk, record: RunRec
 
 
 def _with_steps(
-    job: Measurement, result: dict[str, Any], *, unproved: bool
+    job: Measurement, result: RunResult, *, unproved: bool
 ) -> tuple[list[_Step], _Step | None]:
     """The steps in their order, and the one that stays."""
     drive, journal, run = job.drive, job.desk.journal, job.settings.run
-    names = [item["parameter"] for item in result["compensation"]]
+    names = [change.parameter for change in result.compensation]
     was, had = {name: drive.read_raw(name) for name in names}, journal.memory(run)
     try:
         steps, kept = job.within_settings(lambda: _raise(job, result))
-        old = {item["parameter"]: int(item["old_raw"]) for item in result["compensation"]}
-        final = old if kept is None else kept.raw
+        final = _before(result, was) if kept is None else kept.raw
         # the experiment's settings are back, and are not stored with the rest
         with job.desk.interruption.deferred():
             with job.settings.exclusive_access():
@@ -239,16 +277,26 @@ def _write(job: Measurement, raw: Raw) -> None:
         job.settings.write("compensation", name, value)
 
 
-def _raise(job: Measurement, result: dict[str, Any]) -> tuple[list[_Step], _Step | None]:
+def _before(result: RunResult, was: Raw) -> Raw:
+    """The values from before the run."""
+    return {
+        c.parameter: was[c.parameter] if c.old_raw is None else c.old_raw
+        for c in result.compensation
+    }
+
+
+def _raise(job: Measurement, result: RunResult) -> tuple[list[_Step], _Step | None]:
     """Without, then half, then more; the last step without harm stays."""
-    desk, drive, friction = job.desk, job.drive, result["friction"]
-    offset = friction["offset"]["value"] or 0.0
+    desk, drive, found = job.desk, job.drive, result.friction
+    assert found.coulomb is not None
+    offset = found.offset.value if found.offset else 0.0
     rest = offset if job.axis.mechanics.held_by != "friction" else 0.0
-    path = path_for(job.context, friction["coulomb"]["value"], friction["inertia"]["value"])
-    new = {item["parameter"]: int(item["new_raw"]) for item in result["compensation"]}
-    asked = desk.journal.run(job.settings.run).context.get("fraction", job.options.fraction)
-    verified = result.get("verification") or {}  # before: the run holds what stayed then
-    goal = verified.get("kept_fraction") or asked
+    inertia = found.inertia.value if found.inertia else None
+    path = path_for(job.context, found.coulomb.value, inertia)
+    new = {change.parameter: change.new_raw for change in result.compensation}
+    asked = desk.journal.run(job.settings.run).context.fraction or job.options.fraction
+    verified = result.verification  # before: the run holds what stayed then
+    goal = (verified.kept_fraction if verified else None) or asked
     sets = [(0.0, _share(drive, new, 0.0))]
     sets += [(part, _share(drive, new, part / goal)) for part in _STEPS if part < goal]
     sets.append((goal, new))
@@ -307,22 +355,15 @@ def _followed(job: Measurement, path: TrackingPath, fraction: float, raw: Raw) -
     return _Step(fraction, raw, error, _trace(samples, command, left, job.context.start))
 
 
-def _columns(samples: list[Sample]) -> tuple[Any, Any]:
+def _columns(samples: list[Sample]) -> tuple[Array, Array]:
     return (
         np.array([s.command for s in samples], np.float64),
         np.array([s.position for s in samples], np.float64),
     )
 
 
-def _trace(
-    samples: TrackingSamples, command: Any, error: Any, start: float
-) -> dict[str, list[float]]:
-    """Time, command and error of the reversals, thinned for a picture."""
+def _trace(samples: TrackingSamples, command: Array, error: Array, start: float) -> Array:
+    """Time, command and error of the reversals, thinned for a picture, (3, n)."""
     every = max(1, len(error) // _SHOWN)
-    begin = samples.reversals[0].time
-    time = [s.time - begin for s in samples.reversals]
-    return {
-        "time": time[::every],
-        "command": [float(value) - start for value in command[::every]],
-        "error": [float(value) for value in error[::every]],
-    }
+    time = np.array([s.time for s in samples.reversals], np.float64)
+    return np.stack((time - time[0], command - start, error))[:, ::every]

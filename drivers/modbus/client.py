@@ -71,11 +71,11 @@ class Kind(NamedTuple):
 
 
 class ExceptionAnswer(AccessDenied):
-    """The unit, or a gateway before it, answers with an exception; `code` as in the standard."""
+    """The unit, or a gateway before it, answers with an `exception`, a code of the standard."""
 
     def __init__(self, message: str, code: int) -> None:
         super().__init__(message, busy=code in _BUSY)
-        self.code = code
+        self.exception = code
 
 
 class Client:
@@ -364,9 +364,9 @@ class Client:
         try:
             self._ask(send, kind, timeout, at_once=at_once, in_cycle=in_cycle, **request)
         except ExceptionAnswer as error:
-            if error.code == _ACKNOWLEDGE:
+            if error.exception == _ACKNOWLEDGE:
                 return  # it is accepted, and in work
-            if error.code == _NO_TARGET and not (at_once or in_cycle):
+            if error.exception == _NO_TARGET and not (at_once or in_cycle):
                 # whether it was done nobody knows: it is looked at, and not sent again
                 raise NoAnswer(str(error)) from None
             raise

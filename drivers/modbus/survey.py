@@ -78,7 +78,7 @@ def is_there(client: Client, timeout: float) -> bool:
     try:
         client.read(3, 0, 1, timeout)
     except ExceptionAnswer as error:
-        return error.code not in _GATEWAY
+        return error.exception not in _GATEWAY
     except NoAnswer:
         return False
     return True

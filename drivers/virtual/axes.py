@@ -8,7 +8,8 @@ read as 8e-3 and a Coulomb friction of ours; its output filter is the option `ou
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Literal
 
 from drivers.virtual.compliant_plant import CompliantParameters, CompliantPlant
@@ -47,6 +48,7 @@ class VirtualAxis:
     travel : room on either side, rad or m
     watchdog : s, as delivered
     brake : holding brake fitted
+    memory : file of its own that keeps what it stores; '': the one of its name and options
     """
 
     name: str
@@ -86,6 +88,7 @@ class VirtualAxis:
     jitter: float = 0.0
     loss: float = 0.0
     stamp: float = 0.0
+    memory: str = field(default="", repr=False)
 
     @property
     def is_rigid(self) -> bool:
@@ -133,8 +136,8 @@ class VirtualAxis:
 
     @property
     def serial(self) -> int:
-        """Serial number: the same axis with the same options is the same drive."""
-        return zlib.crc32(repr(self).encode())
+        """Serial number: an axis with the same options and the same memory is the same drive."""
+        return zlib.crc32((repr(self) + self.memory).encode())
 
 
 AXES: dict[str, VirtualAxis] = {
@@ -248,8 +251,11 @@ _OPTIONS = {
 }
 
 
-def configured(name: str, options: dict[str, str]) -> VirtualAxis:
-    """The axis `name` with `options` (text, as in a LINK) put in; raises UsageError, UnknownName."""
+def configured(name: str, options: dict[str, str], memory: str | Path | None = None) -> VirtualAxis:
+    """The axis `name` with `options` (text, as in a LINK) put in; raises UsageError, UnknownName.
+
+    `memory` : file of its own, which makes it a drive of its own
+    """
     if name not in AXES:
         raise UnknownName("virtual axis", name, list(AXES))
     changes: dict[str, float | int] = {}
@@ -262,7 +268,8 @@ def configured(name: str, options: dict[str, str]) -> VirtualAxis:
             raise UnknownName(
                 "option of a virtual axis", key, [*_OPTIONS, "seed", "state", "habit"]
             )
-    axis = replace(AXES[name], **changes)  # type: ignore[arg-type]
+    own = "" if memory is None else str(Path(memory).absolute())
+    axis = replace(AXES[name], **changes, memory=own)  # type: ignore[arg-type]
     for key in ("encoder", "cycle", "rated", "peak", "speed", "travel"):
         if not getattr(axis, key) > 0:
             raise UsageError(f"virtual axis '{name}': {key} is {getattr(axis, key):g}: must be > 0")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from commissioning.compensation import Known, propose
+from commissioning.compensation import propose
+from commissioning.result.document import Found, Quantity
 from drivers.scaling import Scaling
 from profiles.axis import Mechanics
 from profiles.errors import WriteFailed
@@ -21,25 +22,39 @@ def with_law(**law: object) -> Profile:
     return BASE.model_copy(update={"compensation": Compensation.model_validate(law)})
 
 
-def raw(profile: Profile, known: Known, fraction: float = 0.85) -> dict[str, int]:
+def exactly(value: float, uncertainty: float = 0.0) -> Quantity:
+    """A number with the relative half-width of its interval."""
+    return Quantity(value, value * (1 - uncertainty), value * (1 + uncertainty), "")
+
+
+def found(
+    coulomb: float, offset: float | None, viscous: float | None = None, uncertainty: float = 0.0
+) -> Found:
+    return Found(
+        "modulating", exactly(coulomb), None if offset is None else exactly(offset),
+        None if viscous is None else exactly(viscous, uncertainty),
+    )  # fmt: skip
+
+
+def raw(profile: Profile, known: Found, fraction: float = 0.85) -> dict[str, int]:
     return {c.parameter: c.new_raw for c in propose(profile, SCALING, known, OLD, fraction)}
 
 
 def test_coulomb_and_viscous_with_the_offset_whole() -> None:
-    known = Known(coulomb=0.1, offset=0.0504, viscous=2e-3, viscous_uncertainty=0.1)
+    known = found(0.1, 0.0504, viscous=2e-3, uncertainty=0.1)
     assert raw(BASE, known) == {
         "torque_offset": 50, "coulomb_positive": 85, "coulomb_negative": 85, "viscous_gain": 170,
     }  # fmt: skip
 
 
 def test_what_is_not_measured_is_not_written() -> None:
-    assert raw(BASE, Known(0.1, None)) == {"coulomb_positive": 85, "coulomb_negative": 85}
-    vague = Known(0.1, 0.0, viscous=2e-3, viscous_uncertainty=0.5)
+    assert raw(BASE, found(0.1, None)) == {"coulomb_positive": 85, "coulomb_negative": 85}
+    vague = found(0.1, 0.0, viscous=2e-3, uncertainty=0.5)
     assert "viscous_gain" not in raw(BASE, vague)
 
 
 def test_the_other_laws() -> None:
-    known = Known(0.1, 0.02)
+    known = found(0.1, 0.02)
     asymmetric = with_law(
         law=CompensationLaw.OFFSET_ASYMMETRIC, offset="torque_offset",
         positive="coulomb_positive", negative="coulomb_negative",
@@ -61,16 +76,15 @@ def test_a_drive_that_stores_the_negative_direction_with_its_sign() -> None:
         law=CompensationLaw.OFFSET_ASYMMETRIC, positive="coulomb_positive",
         negative="torque_offset", negative_sign=-1,
     )  # fmt: skip
-    assert raw(signed, Known(0.1, None), 1.0) == {"coulomb_positive": 100, "torque_offset": -100}
+    assert raw(signed, found(0.1, None), 1.0) == {"coulomb_positive": 100, "torque_offset": -100}
 
 
 def test_rounding_is_said() -> None:
-    change = propose(BASE, SCALING, Known(0.10236, None), OLD)[0]
+    change = propose(BASE, SCALING, found(0.10236, None), OLD)[0]
     assert change.new == pytest.approx(0.087)
-    assert change.wanted == pytest.approx(0.087006)
     assert change.rounded_by == pytest.approx(-6e-6)
 
 
 def test_a_friction_outside_the_drive_s_range_is_refused() -> None:
     with pytest.raises(WriteFailed, match="outside"):
-        propose(BASE, SCALING, Known(1.5, None), OLD)
+        propose(BASE, SCALING, found(1.5, None), OLD)

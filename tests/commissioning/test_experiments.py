@@ -14,6 +14,7 @@ from commissioning.experiments.oscillator import Oscillator
 from commissioning.experiments.relay import Relay
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
+from commissioning.result.codec import encode
 from commissioning.session.armed import Failure
 from commissioning.session.desk import Desk, Options
 from commissioning.session.identify import identify
@@ -39,7 +40,7 @@ def run(measured: dict[str, dict[str, Any]]) -> Identify:
         if asked not in measured:
             with Journal(home()) as journal, Interruption() as interruption:
                 desk = Desk(journal, interruption, lambda text: None, lambda q, w: True)
-                measured[asked] = identify(axis_of(link), Options(**options), desk)
+                measured[asked] = encode(identify(axis_of(link), Options(**options), desk))
         return deepcopy(measured[asked])
 
     return measure
@@ -92,7 +93,7 @@ def test_friction_that_is_not_coulomb_friction_is_recognised_and_said(
 def recognised_and_said(result: dict[str, Any], rung: str, words: str) -> None:
     assert rung in result["methods"]["modulating"]["law"]["terms"]
     assert "lock-in" in result["methods"], "thirty periods, and the exact balance beside it"
-    assert any(words in reason for reason in result["quality"]["reasons"])
+    assert any(words in reason["text"] for reason in result["quality"]["reasons"])
 
 
 def test_soft_friction_has_the_level_of_its_sigmoid(run: Identify) -> None:
@@ -152,7 +153,9 @@ def test_a_point_that_the_travel_allows_is_measured_and_else_the_travel_is_named
     assert near["critical_point"]["at_135"]["how"] == "computed"
     needed = near["critical_point"]["at_135"]["travel_needed"]
     assert 30 < needed < 80
-    assert any(f"that takes ±{needed:.3g} rad of travel" in r for r in near["quality"]["reasons"])
+    assert any(
+        f"that takes ±{needed:.3g} rad of travel" in r["text"] for r in near["quality"]["reasons"]
+    )
     assert far["critical_point"]["at_135"]["how"] == "measured"
     assert far["critical_point"]["at_135"]["phase_deg"] == pytest.approx(-135, abs=1)
     assert far["experiment"]["travel"] < 2 * far["critical_point"]["at_135"]["travel_needed"]
@@ -163,7 +166,7 @@ def test_an_axis_without_dead_time_has_no_point_at_180_degrees_and_that_is_said(
 ) -> None:
     result = run("virtual://bench?delay=0", points=True)
     assert result["critical_point"]["at_180"] is None
-    assert any("plant at -180° is not known" in r for r in result["quality"]["reasons"])
+    assert any("plant at -180° is not known" in r["text"] for r in result["quality"]["reasons"])
 
 
 @pytest.mark.parametrize(
@@ -288,8 +291,8 @@ def test_what_cannot_be_measured_is_refused_with_the_reason(
     assert caught.value.error.exit_code == code, str(caught.value)
     assert words in str(caught.value)
     result = caught.value.result
-    assert result["status"] != "completed"
-    assert result["friction"]["coulomb"]["value"] is None, "not measured is null, never 0"
+    assert result.status != "completed"
+    assert encode(result)["friction"]["coulomb"]["value"] is None, "not measured is null, never 0"
 
 
 def test_a_load_that_nobody_declared_is_noticed_before_it_falls_far() -> None:
@@ -300,7 +303,7 @@ def test_a_load_that_nobody_declared_is_noticed_before_it_falls_far() -> None:
         with pytest.raises(Failure, match="does not stay at rest") as caught:
             identify(held_by_friction, Options(), desk)
     assert caught.value.error.exit_code == 3
-    assert caught.value.result["experiment"]["travel"] < 0.01
+    assert encode(caught.value.result)["experiment"]["travel"] < 0.01
 
 
 def test_a_refused_confirmation_moves_nothing(run: Identify) -> None:
@@ -309,7 +312,7 @@ def test_a_refused_confirmation_moves_nothing(run: Identify) -> None:
         with pytest.raises(Failure) as caught:
             identify(axis_of("virtual://bench"), Options(), desk)
     assert caught.value.error.exit_code == 3
-    assert caught.value.result["run"] is None
+    assert caught.value.result.run is None
 
 
 OK = Status(enabled=True, fault=False, stopping=False, limit=False, word=0x27)

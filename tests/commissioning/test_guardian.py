@@ -8,13 +8,13 @@ import signal
 import time
 from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import commissioning.guardian
 from commissioning.guardian import Guardian, guarded
 from commissioning.journal import Journal
+from commissioning.records import Context
 from commissioning.session.armed import noted
 from drivers.drive import StopReport
 from drivers.home import home
@@ -59,14 +59,13 @@ def energised(serve: Serve, wire: str, tmp_path: Path) -> Generator[tuple[Profil
 def begun(axis: Axis) -> str:
     """A run that the guardian can write to."""
     with Journal(home()) as journal:
-        described: dict[str, Any] = {"axis": {}, "fraction": 0.85}
         return journal.begin(
             axis="a",
             link=str(axis.link),
             profile="p",
             profile_hash="",
             serial="",
-            context=described,
+            context=Context("{}", 0.85),
         )
 
 
@@ -93,7 +92,7 @@ def said() -> list[str]:
     until = time.monotonic() + _PATIENCE
     while time.monotonic() < until:
         with Journal(home()) as journal:
-            events = [str(event["text"]) for event in journal.export("last")["events"]]
+            events = [event.text for event in journal.history("last").events]
         if events:
             return events
         time.sleep(_LOOK)
@@ -232,4 +231,4 @@ def test_a_loop_that_rests_may_be_silent(serve: Serve, tmp_path: Path) -> None:
         assert drive.is_energised()
         drive.stop()
     with Journal(home()) as journal:
-        assert journal.export("last")["events"] == []
+        assert journal.history("last").events == ()

@@ -14,6 +14,7 @@ from typing import Any, cast
 import pytest
 
 from commissioning.journal import RESTORED, STORED, STORING, Journal
+from commissioning.records import Context, history_of, history_tree
 from commissioning.settings import Settings, put_back, settle
 from drivers.drive import Drive
 from drivers.link import axis_of, open_drive
@@ -37,7 +38,7 @@ def drive() -> Iterator[Drive]:
 def begin(journal: Journal, serial: str = "1") -> str:
     return journal.begin(
         axis="bench", link="virtual://bench", profile="p", profile_hash="h", serial=serial,
-        context={"axis": {}},
+        context=Context("{}"),
     )  # fmt: skip
 
 
@@ -64,7 +65,7 @@ def test_a_write_that_fails_leaves_its_intent_open(journal: Journal, drive: Driv
         settings.write("experiment", "max_torque", 500)
     (intent,) = journal.intents(run, open_only=True)
     assert intent.state == "intended"
-    assert journal.unfinished("1") == [run]
+    assert journal.unfinished("1", "virtual://bench") == [run]
 
 
 def test_restore_goes_back_to_the_oldest_value(journal: Journal, drive: Drive) -> None:
@@ -122,18 +123,18 @@ def test_a_run_moves_to_another_machine(journal: Journal, drive: Drive, tmp_path
     run = begin(journal)
     Settings(journal, run, drive).write("compensation", "coulomb_positive", 50)
     journal.note(run, "a note")
-    tree = json.loads(json.dumps(journal.export(run)))
+    tree = json.loads(json.dumps(history_tree(journal.history(run))))
     with Journal(tmp_path / "other") as other:
-        assert other.adopt(tree, "x") == run
-        assert other.adopt(tree, "x") == run, "twice is once"
+        assert other.adopt(history_of(tree, "x")) == run
+        assert other.adopt(history_of(tree, "x")) == run, "twice is once"
         intents = other.intents(run, open_only=True)
         assert [(i.parameter, i.old, i.new) for i in intents] == [("coulomb_positive", 0, 50)]
 
 
 @pytest.mark.parametrize("tree", [None, [], {}, {"schema": "tworelay.journal/1"}, {"schema": 5}])
-def test_what_is_no_exported_run_is_refused(journal: Journal, tree: object) -> None:
+def test_what_is_no_exported_run_is_refused(tree: object) -> None:
     with pytest.raises(UsageError, match="no exported run"):
-        journal.adopt(tree, "x.json")
+        history_of(tree, "x.json")
 
 
 def test_a_journal_that_cannot_be_written_says_so(tmp_path: Path) -> None:
@@ -172,7 +173,7 @@ def test_stores_are_counted_for_each_drive(tmp_path: Path) -> None:
                 profile="p",
                 profile_hash="h",
                 serial=serial,
-                context={},
+                context=Context("{}"),
             )
             for serial in ("0x1", "0x2")
         )
@@ -287,26 +288,27 @@ def test_a_run_whose_values_or_fields_are_none_is_not_taken_in(
 ) -> None:
     run = begin(journal)
     Settings(journal, run, drive).write("compensation", "coulomb_positive", 50)
-    tree = json.loads(json.dumps(journal.export(run)))
+    tree = json.loads(json.dumps(history_tree(journal.history(run))))
     with Journal(tmp_path / "other") as other:
         for change, words in (
-            ({"old": 2**63}, "too large"), ({"new": -(2**63)}, "too large"), ({"old": "x"}, "invalid"),
+            ({"old": 2**63}, "must be less than"), ({"new": -(2**63)}, "must be greater than"),
+            ({"old": "x"}, "must be a valid integer"),
         ):  # fmt: skip
             bad = json.loads(json.dumps(tree))
             bad["intents"][0] |= change
             with pytest.raises(UsageError, match=words):
-                other.adopt(bad, "x")
+                other.adopt(history_of(bad, "x"))
         edge = json.loads(json.dumps(tree))
         edge["run"]["axis"] = 5
-        with pytest.raises(UsageError, match="is no text"):
-            other.adopt(edge, "x")
+        with pytest.raises(UsageError, match=r"'run.axis' must be a valid string"):
+            other.adopt(history_of(edge, "x"))
         with pytest.raises(UsageError, match="schema"):
-            other.adopt({**tree, "schema": "tworelay.journal/2"}, "x")
+            history_of({**tree, "schema": "tworelay.journal/2"}, "x")
         with pytest.raises(UnknownName):
             other.run("last")
         edge = json.loads(json.dumps(tree))
         edge["intents"][0]["old"] = 2**63 - 1
-        assert other.adopt(edge, "x") == run
+        assert other.adopt(history_of(edge, "x")) == run
         assert other.intents(run)[0].old == 2**63 - 1
 
 
@@ -315,16 +317,16 @@ def test_only_experiment_settings_that_are_not_back_make_a_run_unfinished(
 ) -> None:
     run, other = begin(journal, "1"), begin(journal, "2")
     Settings(journal, run, drive).write("compensation", "coulomb_positive", 50)
-    assert journal.unfinished("1") == []
+    assert journal.unfinished("1", "virtual://bench") == []
     assert journal.open_runs() == [run]
     assert journal.last_written() == run
     settings = Settings(journal, other, drive)
     settings.write("experiment", "max_torque", 500)
-    assert journal.unfinished("2") == [other]
-    assert journal.unfinished("1") == []
+    assert journal.unfinished("2", "virtual://bench") == [other]
+    assert journal.unfinished("1", "virtual://bench") == []
     assert journal.last_written() == other
     settings.restore()
-    assert journal.unfinished("2") == []
+    assert journal.unfinished("2", "virtual://bench") == []
     assert journal.open_runs() == [run]
     assert journal.last_written() == other, "restored, and yet it wrote"
 
@@ -352,9 +354,9 @@ def test_what_a_run_did_to_the_memory_moves_with_it(journal: Journal, tmp_path: 
     journal.note(run, STORING)
     journal.note(run, STORED)
     with Journal(tmp_path / "another") as other:
-        other.adopt(journal.export(run), "x")
+        other.adopt(journal.history(run))
         assert other.memory(run) == STORED
-        assert other.export(run)["events"] == journal.export(run)["events"]
+        assert other.history(run).events == journal.history(run).events
 
 
 def stored(journal: Journal, *runs: str) -> list[int]:
@@ -371,7 +373,12 @@ def test_stores_of_drives_without_a_serial_are_counted_by_link(tmp_path: Path, s
     with Journal(tmp_path) as journal:
         mine, other = (
             journal.begin(
-                axis="x", link=link, profile="p", profile_hash="h", serial=serial, context={}
+                axis="x",
+                link=link,
+                profile="p",
+                profile_hash="h",
+                serial=serial,
+                context=Context("{}"),
             )
             for link in ("modbus-tcp://a", "modbus-tcp://b")
         )

@@ -10,6 +10,7 @@ import pytest
 
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
+from commissioning.records import Context
 from commissioning.session import preflight
 from commissioning.session.desk import Options
 from commissioning.session.preflight import Limits, choose_limits, look, prove_watchdog, writes
@@ -208,7 +209,12 @@ def test_what_is_written_never_raises_a_limit_of_the_drive(drive: ProfiledDrive)
 def settings(drive: ProfiledDrive, tmp_path: Path) -> Iterator[Settings]:
     with Journal(tmp_path / "journal") as journal:
         run = journal.begin(
-            axis="a", link="x", profile="p", profile_hash="", serial="1", context={}
+            axis="a",
+            link="x",
+            profile="p",
+            profile_hash="",
+            serial="1",
+            context=Context("{}"),
         )
         yield Settings(journal, run, drive)
 

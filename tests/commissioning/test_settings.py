@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from commissioning.journal import Intent, Journal
+from commissioning.records import Context
 from commissioning.settings import Restored, Settings, put_back, settle
 from profiles.errors import JournalError, LinkLost, WriteFailed
 from profiles.library import load_profile
@@ -75,7 +76,12 @@ def journal(tmp_path: Path) -> Iterator[Journal]:
 def drive(journal: Journal) -> Drawer:
     drawer = Drawer(journal)
     drawer.run = journal.begin(
-        axis="a", link="x", profile="p", profile_hash="", serial="1", context={}
+        axis="a",
+        link="x",
+        profile="p",
+        profile_hash="",
+        serial="1",
+        context=Context("{}"),
     )
     return drawer
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import uuid
 from collections.abc import Iterator
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
 from drivers.drive import Drive
 from drivers.link import axis_of, open_drive
-from drivers.virtual.axes import AXES
+from drivers.virtual.axes import AXES, configured
 from drivers.virtual.device import Device
 from drivers.virtual.firmware import Firmware
 from profiles.errors import AccessDenied, PreflightRefused, UnknownName, WriteDenied, WriteFailed
@@ -45,9 +46,13 @@ def drive(request: pytest.FixtureRequest) -> Iterator[Drive]:
         opened.close()
 
 
-def test_the_whole_life_of_a_drive(drive: Drive) -> None:
+def test_the_whole_life_of_a_drive(drive: Drive, tmp_path: Path) -> None:
     identity = drive.identity()
-    assert identity.serial == f"0x{AXES['bench'].serial:08X}"
+    of_its_own = configured(
+        "bench", {}, tmp_path / "drive-0.json"
+    )  # the memory that it is served with
+    served = drive.link.startswith(("modbus", "canopen://s"))
+    assert int(identity.serial, 16) == (of_its_own if served else AXES["bench"]).serial
     assert drive.read("rated_torque") == pytest.approx(1.0)
     assert not drive.is_energised()
 

@@ -17,6 +17,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from commissioning.identification.tracking import TrackingError
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
@@ -209,9 +211,11 @@ class KillRig:
                     apply("last", self.axis.link, desk, lambda rows: None)
                 elif job == "commission":
                     _prove_nothing()
-                    prove_and_store(journal.run("last").id, desk, lambda rows: None, {})
+                    prove_and_store(
+                        journal.run("last").id, desk, lambda rows: None, without_watchdog=False
+                    )
                 else:
-                    restore("last", self.axis.link, desk, force=False)
+                    restore(journal.run("last").id, self.axis.link, desk, force=False)
         except Failure as failure:
             return failure.error.exit_code
         except TwoRelayError as error:
@@ -226,7 +230,7 @@ def _prove_nothing() -> None:
 
     def followed(job: Any, path: Any, fraction: float, raw: dict[str, int]) -> Any:
         error = TrackingError(next(errors), 0.0, 0.0, hunts=False)
-        return verify._Step(fraction, raw, error, {"time": [], "command": [], "error": []})
+        return verify._Step(fraction, raw, error, np.zeros((3, 0)))
 
     verify._followed = followed
     Measurement.prove_watchdog = lambda job, rest: None  # type: ignore[method-assign, assignment]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
+import sqlite3
 import sys
 import tempfile
 from collections.abc import Callable
@@ -16,11 +18,12 @@ from commissioning.journal import Journal
 from commissioning.session.armed import Failure
 from commissioning.session.desk import Desk, Options
 from commissioning.session.identify import identify
-from commissioning.session.verify import verify
+from commissioning.session.verify import Wishes, verify
 from drivers.link import axis_of, open_drive
 from drivers.virtual.axes import VirtualAxis
 from drivers.virtual.firmware import Firmware, State
 from drivers.virtual.plant import Plant
+from profiles.axis import Axis
 from profiles.errors import TwoRelayError
 from tests.faults.two_key import TWO_KEY, in_process
 
@@ -211,7 +214,18 @@ def _work(job: Job, home: Path, tell: Callable[[str], None]) -> None:
             axis = axis_of(link).model_copy(update={"profile": job.profile})
             identify(axis, options, desk)
         else:
-            verify("last", link, desk, {})
+            _is_the_drive_of(axis_of(link).model_copy(update={"profile": job.profile}), home)
+            verify("last", link, desk, Wishes())
+
+
+def _is_the_drive_of(axis: Axis, home: Path) -> None:
+    """A copy of a memory is another drive: the runs are said to be of it."""
+    drive = open_drive(axis, cycle=0.002)
+    serial = drive.identity().serial
+    drive.close()
+    with contextlib.closing(sqlite3.connect(home / "journal.sqlite")) as db:
+        db.execute("UPDATE runs SET serial=?", (serial,))
+        db.commit()
 
 
 def _prepared(job: Job, home: Path) -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from commissioning.experiments.approach import approach
 from commissioning.experiments.oscillations import Oscillations, Stretch, oscillations
 from commissioning.experiments.plan import Plan
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
+from commissioning.result.document import RunResult
 from commissioning.session.apply import restore
 from commissioning.session.armed import Failure, in_a_run
 from commissioning.session.desk import Desk, Options
@@ -40,7 +40,7 @@ def ways(answered: list[bool]) -> list[tuple[int, Way]]:
     ]
 
 
-def short(job: Measurement, result: dict[str, Any]) -> None:
+def short(job: Measurement, result: RunResult) -> RunResult:
     """Every phase of a measurement in less than 300 cycles, and nothing evaluated."""
 
     def plan() -> Plan[Oscillations]:
@@ -55,6 +55,7 @@ def short(job: Measurement, result: dict[str, Any]) -> None:
         job.run(plan())
 
     job.within_settings(work)
+    return result
 
 
 class Rig:

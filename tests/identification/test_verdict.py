@@ -6,17 +6,15 @@ import numpy as np
 import pytest
 
 from commissioning.identification.modulating import ModulatingEstimate, estimate
+from commissioning.identification.reasons import Reason, Weight, verdict
 from commissioning.identification.record import Record, rests
 from commissioning.identification.verdict import (
-    Reason,
     Units,
-    Weight,
     dwell_share,
     is_unsigned,
     of_modulating,
     of_torque,
     torque_gain,
-    verdict,
     within_short,
 )
 from tests.identification.spoiled import COULOMB, SPOILED, changed, relay_tests
@@ -89,7 +87,7 @@ def test_the_torque_that_is_measured_must_be_the_torque_that_is_commanded() -> N
 
 
 def test_the_worst_reason_makes_the_verdict() -> None:
-    note, doubt, no = (Reason(weight, "") for weight in Weight)
+    note, doubt, no = (Reason("", weight, "") for weight in Weight)
     assert verdict([]) == "good"
     assert verdict([note]) == "good"
     assert verdict([note, doubt]) == "usable"

@@ -62,7 +62,7 @@ def stored(tmp_path: Path) -> dict[str, int]:
 
 def events() -> list[str]:
     with Journal(home()) as journal:
-        return [e["text"] for e in journal.export("last")["events"]]
+        return [e.text for e in journal.history("last").events]
 
 
 def open_parameters() -> set[str]:
@@ -139,7 +139,8 @@ def test_what_is_not_proved_does_not_stay(
     assert note.startswith("the drive is as it was found")
     (report,) = (home() / "runs").glob("*/report.html")
     assert escape(note) in report.read_text("utf-8")
-    assert not any(item["written"] for item in result["compensation"])
+    assert result["written"] == []
+    assert result["ending"]["drive"]["compensation"] == "as it was found"
     assert tworelay("restore", "--yes").stdout.strip() == "nothing to restore"
 
 
@@ -190,9 +191,8 @@ def test_only_what_is_not_back_is_named_and_counts_as_written(
         done = tworelay("commission", link, *ASKED, "--json", str(tmp_path / "run.json"))
     assert done.returncode == 5
     assert "NOT put back: coulomb_positive (" in done.stderr
-    items = json.loads((tmp_path / "run.json").read_text())["compensation"]
-    written = {item["parameter"] for item in items if item["written"]}
-    assert written == {"coulomb_positive"}
+    written = json.loads((tmp_path / "run.json").read_text())["written"]
+    assert {item["parameter"] for item in written} == {"coulomb_positive"}
     assert tworelay("restore", "--yes").returncode == 0
     assert values(link) == FOUND
 
@@ -222,7 +222,7 @@ def test_what_does_not_help_is_not_in_the_memory_either(
 
     monkeypatch.setattr(verify, "reversal_error", lambda command, position, turns: (0.01, position))
     done = tworelay("commission", link, *ASKED)
-    assert done.returncode == 7
+    assert done.returncode == 8
     assert "the compensation does not help" in done.stderr
     assert values(link) == stored(tmp_path) == FOUND
     assert open_parameters() == set()
@@ -277,7 +277,7 @@ def test_gains_in_the_memory_are_not_forgotten_when_the_compensation_does_not_he
     done = tworelay("apply", "last", "--yes", "--gains", "cascade")
     assert done.returncode == 0, done.stderr
     monkeypatch.setattr(verify, "reversal_error", lambda command, position, turns: (0.01, position))
-    assert tworelay("verify", "last", "--yes").returncode == 7
+    assert tworelay("verify", "last", "--yes").returncode == 8
     assert open_parameters() == set(gains)
     assert tworelay("restore", "--yes").returncode == 0
     kept = json.loads((tmp_path / "drive-0.json").read_text())

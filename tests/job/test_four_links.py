@@ -24,7 +24,7 @@ def commission(
     assert done.returncode == 0, done.stderr
     result: dict[str, Any] = json.loads(done.stdout)
     assert result["status"] == "completed"
-    assert result["schema"] == "tworelay.run/1"
+    assert result["schema"] == "tworelay.run/2"
 
     applied = tworelay("apply", result["run"], "--yes")
     assert applied.returncode == 0, applied.stderr

@@ -82,10 +82,10 @@ def guardian_s_word() -> str:
     """What it wrote into the journal when it had done."""
     for _ in range(100):
         with Journal(home()) as journal:
-            events = journal.export("last")["events"]
-        said = [event["text"] for event in events if event["text"].startswith("guardian")]
+            events = journal.history("last").events
+        said = [event.text for event in events if event.text.startswith("guardian")]
         if said:
-            return str(said[0])
+            return said[0]
         time.sleep(0.1)
     return ""
 
@@ -119,6 +119,6 @@ def test_the_loop_is_frozen_and_the_axis_is_stopped(serve: Serve, tmp_path: Path
         "tworelay: the guardian process stopped the axis: the loop was silent for"
     )
     with Journal(home()) as journal:
-        notes = RunFolder.of(journal, journal.run("last").id).result()["notes"]
+        notes = RunFolder.of(journal, journal.run("last").id).result().notes
     assert notes[0] == last.removeprefix("tworelay: ").partition("; ")[0]
     assert notes[1].startswith("guardian: ")

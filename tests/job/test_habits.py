@@ -38,7 +38,7 @@ def test_in_whatever_a_drive_counts_the_axis_is_the_same(
     assert friction["inertia"]["value"] == pytest.approx(1e-3, rel=0.05 if coarse else 0.02)
     assert friction["viscous"]["value"] == pytest.approx(2e-3, rel=0.1)
     assert result["experiment"]["limits"]["travel"] == 20.0
-    assert result["experiment"]["first_look"]["inertia"] == pytest.approx(1e-3, rel=0.2)
+    assert result["experiment"]["setup"]["first_look"]["inertia"] == pytest.approx(1e-3, rel=0.2)
 
 
 @pytest.mark.parametrize(

@@ -41,6 +41,16 @@ def left_behind(case: str) -> tuple[str, Path]:
     return run, folder / "profile.toml"
 
 
+def of_the_drive(link: str, profile: str) -> None:
+    """The recorded run is said to be of the drive that is served here."""
+    drive = open_drive(Axis(link=link, profile=profile))
+    serial = drive.identity().serial
+    drive.close()
+    with contextlib.closing(sqlite3.connect(home() / "journal.sqlite")) as db:
+        db.execute("UPDATE runs SET serial=?", (serial,))
+        db.commit()
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_a_run_that_an_older_version_left_is_finished(
     serve: Serve, tworelay: Tworelay, case: str
@@ -48,6 +58,7 @@ def test_a_run_that_an_older_version_left_is_finished(
     wire, known = CASES[case]
     run, profile = left_behind(case)
     link = serve("bench", *WIRES[wire], "--clock", "step")[0]
+    of_the_drive(link, known)
     assert tworelay("identify", link, "--profile", str(profile), "--yes").returncode == 2
     drive: Any = open_drive(Axis(link=link, profile=known))
     with Journal(home()) as journal:

@@ -107,9 +107,12 @@ def test_an_escape_in_every_field_of_a_run(tworelay: Tworelay, sent: Path, tmp_p
                 "kind",
                 "state",
                 "position",
+                "weight",
+                "ending",
             }
             return {
-                k: v if k in keep and isinstance(v, str) else everywhere(v) for k, v in tree.items()
+                k: v if k in keep and isinstance(v, str | dict) else everywhere(v)
+                for k, v in tree.items()
             }
         if isinstance(tree, list):
             return [everywhere(item) for item in tree]

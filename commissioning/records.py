@@ -1,0 +1,301 @@
+"""What the journal keeps of a run, typed; and JSON files of runs, which are anybody's.
+
+Rows and files have the types and ranges that tworelay writes, or are refused with the place that is wrong.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
+
+from commissioning.result.codec import first_error
+from profiles.errors import UsageError
+from profiles.files import contents
+
+__all__ = [
+    "END_OF_TIME",
+    "RESTORED",
+    "STORED",
+    "STORING",
+    "Context",
+    "Event",
+    "History",
+    "Intent",
+    "Kind",
+    "RunRecord",
+    "State",
+    "context_text",
+    "history_of",
+    "history_tree",
+    "intent_of",
+    "json_file",
+    "run_of",
+]
+
+LARGEST = 20_000_000  # bytes
+END_OF_TIME = 253_402_300_800.0  # s since 1970, the year 10000
+_SCHEMA = "tworelay.journal/1"
+_MOST_INTENTS = 10_000
+_LARGEST_NUMBER = 1e300
+STORING, STORED, RESTORED = "storing", "stored", "restored and stored"
+
+Kind = Literal["experiment", "compensation", "gain"]
+State = Literal["intended", "verified", "restored"]
+Text = Annotated[str, Field(max_length=10_000)]
+Raw = Annotated[int, Field(gt=-(1 << 63), lt=1 << 63)]
+Instant = Annotated[float, Field(ge=0, lt=END_OF_TIME)]
+_STRICT = ConfigDict(strict=True, extra="ignore", allow_inf_nan=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """What is needed to connect again, and whose run it is.
+
+    Attributes
+    ----------
+    axis : as JSON
+    fraction : of the friction that was to be compensated; None: not said
+    pid, started : process that made the run, as `processes.is_alive` takes them
+    """
+
+    axis: str
+    fraction: float | None = None
+    pid: int | None = None
+    started: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RunRecord:
+    """One run.
+
+    Attributes
+    ----------
+    created : s since 1970, for people: the order of runs is the journal's own
+    adopted : it was measured on another computer, and taken in here
+    """
+
+    id: str
+    created: float
+    axis: str
+    link: str
+    profile: str
+    profile_hash: str
+    serial: str
+    status: str
+    context: Context
+    adopted: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Intent:
+    """One parameter write: raw values before and after, and how far it got."""
+
+    seq: int
+    run: str
+    kind: Kind
+    parameter: str
+    old: int
+    new: int
+    state: State
+
+    @property
+    def is_open(self) -> bool:
+        """Whether `restore` would undo it."""
+        return self.state != "restored"
+
+    @property
+    def lasts(self) -> bool:
+        """Whether it is meant to stay after the run."""
+        return self.kind != "experiment"
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """What happened to a run, s since 1970."""
+
+    at: float
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """Everything that a journal knows of a run."""
+
+    run: RunRecord
+    intents: tuple[Intent, ...]
+    events: tuple[Event, ...]
+
+    @property
+    def memory(self) -> str:
+        """What the run did last to the drive's non-volatile memory: STORED, RESTORED, STORING or ''."""
+        told = [e.text for e in self.events if e.text in (STORING, STORED, RESTORED)]
+        return told[-1] if told else ""
+
+
+# -- what rows and files must be --------------------------------------------------------------------
+
+
+def _finite(tree: Any) -> Any:
+    """A tree of our own making as it is: its numbers are finite, its texts whole; raises ValueError."""
+    if isinstance(tree, dict):
+        _finite([*tree, *tree.values()])
+    elif isinstance(tree, list):
+        for item in tree:
+            _finite(item)
+    elif isinstance(tree, str):
+        tree.encode()
+    elif isinstance(tree, int | float) and not abs(tree) < _LARGEST_NUMBER:
+        raise ValueError("finite numbers only")
+    return tree
+
+
+@dataclass(frozen=True, slots=True)
+class _Context:
+    axis: Annotated[dict[str, Any], AfterValidator(_finite)] = field(default_factory=dict)
+    fraction: Annotated[float, Field(ge=0, le=1)] | None = None
+    pid: Annotated[int, Field(ge=0, lt=1 << 31)] | None = None
+    started: Annotated[float, Field(ge=-1e300, le=1e300)] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    __pydantic_config__: ClassVar[ConfigDict] = _STRICT
+
+    id: Text
+    created: Instant
+    axis: Text
+    link: Text
+    profile: Text
+    profile_hash: Text
+    serial: Text
+    status: Text
+    context: _Context
+
+
+@dataclass(frozen=True, slots=True)
+class _Intent:
+    __pydantic_config__: ClassVar[ConfigDict] = _STRICT
+
+    kind: Kind
+    parameter: Text
+    old: Raw
+    new: Raw
+    state: State
+
+
+@dataclass(frozen=True, slots=True)
+class _Event:
+    at: Instant
+    text: Text
+
+
+@dataclass(frozen=True, slots=True)
+class _Journal:
+    __pydantic_config__: ClassVar[ConfigDict] = _STRICT
+
+    schema: Literal["tworelay.journal/1"]
+    run: _Run
+    intents: Annotated[tuple[_Intent, ...], Field(max_length=_MOST_INTENTS)]
+    events: tuple[_Event, ...] = ()
+
+
+@cache
+def _adapter(kind: type) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
+
+
+def _checked(kind: type, tree: Any, origin: str) -> Any:
+    try:
+        return _adapter(kind).validate_json(json.dumps(tree))
+    except ValidationError as error:
+        raise UsageError(f"{origin}: is damaged: {first_error(error)}") from None
+    except (RecursionError, TypeError, ValueError) as error:
+        raise UsageError(f"{origin}: is damaged ({type(error).__name__}: {error})") from None
+
+
+def _run(found: _Run, *, adopted: bool) -> RunRecord:
+    context = found.context
+    return RunRecord(
+        found.id, found.created, found.axis, found.link, found.profile, found.profile_hash, found.serial,
+        found.status,
+        Context(json.dumps(context.axis), context.fraction, context.pid, context.started),
+        adopted,
+    )  # fmt: skip
+
+
+def run_of(row: dict[str, Any], *, adopted: bool) -> RunRecord:
+    """A row of the journal's runs; raises UsageError, ValueError."""
+    tree = {**row, "context": json.loads(row["context"])}
+    return _run(_checked(_Run, tree, f"run {row['id']}"), adopted=adopted)
+
+
+def intent_of(row: dict[str, Any]) -> Intent:
+    """A row of the journal's intents; raises UsageError."""
+    run, seq = str(row["run"]), int(row["seq"])
+    found: _Intent = _checked(_Intent, {**row, "run": run}, f"run {run}")
+    return Intent(seq, run, found.kind, found.parameter, found.old, found.new, found.state)
+
+
+def context_text(context: Context) -> str:
+    """A context as the journal keeps it."""
+    tree = {**asdict(context), "axis": json.loads(context.axis)}
+    return json.dumps({key: value for key, value in tree.items() if value is not None})
+
+
+# -- the journal of an exported run -----------------------------------------------------------------
+
+
+def history_of(tree: Any, origin: str) -> History:
+    """The journal of an exported run; raises UsageError."""
+    if not isinstance(tree, dict) or tree.get("schema") != _SCHEMA:
+        raise UsageError(f"{origin}: is no exported run (its schema is none of ours)")
+    try:
+        found: _Journal = _checked(_Journal, tree, origin)
+    except UsageError as error:
+        raise UsageError(f"{error}; so it is no exported run that can be read") from None
+    run = found.run.id
+    intents = (
+        Intent(seq, run, i.kind, i.parameter, i.old, i.new, i.state)
+        for seq, i in enumerate(found.intents)
+    )
+    events = (Event(e.at, e.text) for e in found.events)
+    return History(_run(found.run, adopted=True), tuple(intents), tuple(events))
+
+
+def history_tree(history: History) -> dict[str, Any]:
+    """The same for JSON."""
+    run = {**asdict(history.run), "context": json.loads(context_text(history.run.context))}
+    del run["adopted"]
+    return {
+        "schema": _SCHEMA,
+        "run": run,
+        "intents": [
+            {name: getattr(i, name) for name in ("kind", "parameter", "old", "new", "state")}
+            for i in history.intents
+        ],
+        "events": [asdict(event) for event in history.events],
+    }
+
+
+# -- files ------------------------------------------------------------------------------------------
+
+
+def json_file(path: Path) -> Any:
+    """What a JSON file of ours holds; raises FileNotFoundError, UsageError."""
+    try:
+        return json.loads(contents(path, LARGEST, links=False), parse_constant=_no_constant)
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"{path}: is no JSON: {error}") from None
+
+
+def _no_constant(name: str) -> None:
+    raise ValueError(f"{name} is no number of JSON")

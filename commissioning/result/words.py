@@ -1,0 +1,209 @@
+"""How a result is worded: the one table of labels and units, for screen and report alike."""
+
+from __future__ import annotations
+
+from math import floor, log10
+
+from commissioning.result.document import (
+    AxisState,
+    Change,
+    CompensationState,
+    DriveState,
+    Ending,
+    GainSet,
+    Host,
+    RunResult,
+    Units,
+    Verification,
+)
+
+__all__ = [
+    "GAINS",
+    "LOOP_TITLES",
+    "POINT_LABELS",
+    "QUANTITY_LABELS",
+    "VERDICTS",
+    "act_ended",
+    "change_state",
+    "duration",
+    "gains_text",
+    "helps",
+    "host_law",
+    "interval",
+    "nothing_proposed",
+    "number",
+    "unit",
+]
+
+QUANTITY_LABELS = {
+    "coulomb": "Coulomb friction",
+    "offset": "offset",
+    "viscous": "viscous friction B",
+    "inertia": "inertia J",
+    "dead_time": "dead time",
+}
+POINT_LABELS = {
+    "naive": "naive: a relay autotuner",
+    "hysteresis": "with its hysteresis",
+    "corrected": "with friction, too",
+    "measured": "at another amplitude",
+    "at_180": "at −180°",
+    "at_135": "at −135°",
+}
+LOOP_TITLES = {
+    "host": "the loop over this link, its dead time included",
+    "drive": "the drive's own loops, the link's share of the dead time removed",
+}
+# gain: (symbol, name of its unit in the result's `units`, or the unit itself)
+GAINS = {
+    "gain": ("K", "stiffness"), "integral_time": ("Ti", "s"), "derivative_time": ("Td", "s"),
+    "velocity_gain": ("Kv", "viscous"), "position_gain": ("Kp", "1/s"),
+}  # fmt: skip
+VERDICTS = {
+    "good": "good",
+    "usable": "usable",
+    "rejected": "rejected",
+    "curve-only": "curve only",
+    None: "not measured",
+}
+
+
+def number(value: float | None, of: str = "") -> str:
+    """Four digits and the unit, or a dash."""
+    return "–" if value is None else f"{value:.4g} {of}".rstrip()
+
+
+def unit(ascii_name: str) -> str:
+    """A unit as it is printed."""
+    return ascii_name.replace("kg.m2", "kg·m²").replace(".", "·")
+
+
+def interval(low: float | None, high: float | None) -> str:
+    """Both ends, with as many digits as tell them apart."""
+    if low is None or high is None:
+        return "–"
+    largest = max(abs(low), abs(high), 1e-300)
+    width = max(high - low, 1e-6 * largest)
+    digits = min(max(2 - floor(log10(width / largest)), 3), 6)
+    return f"{low:.{digits}g} … {high:.{digits}g}"
+
+
+def duration(value: float | None) -> str:
+    """A time in ms below a second, else in s; None: never."""
+    if value is None:
+        return "never"
+    return f"{value:.2f} s" if value >= 1 else f"{1000 * value:.0f} ms"
+
+
+def gains_text(item: GainSet, units: Units) -> str:
+    """Gains by name with their units; an integral part that is not there is left out."""
+    found = []
+    for name, value in item.gains.items():
+        symbol, of = GAINS[name]
+        if value:
+            found.append(f"{symbol} = {value:.4g} {getattr(units, of, of)}")
+    return ", ".join(found)
+
+
+# -- what is changed --------------------------------------------------------------------------------
+
+
+def host_law(terms: Host) -> str:
+    """What the master of a drive adds in every cycle, where the drive has no compensation of its own."""
+    return (
+        f"this drive leaves friction to its master: in cyclic position or velocity mode add to "
+        f"{terms.parameter} ({terms.address}) in every cycle {terms.offset_raw:+d} "
+        f"{terms.coulomb_raw:+d} * sign(velocity command), in steps of {terms.raw_unit} "
+        f"({terms.offset:+.4g} {terms.unit} and {terms.coulomb:+.4g} {terms.unit})"
+    )
+
+
+def change_state(change: Change, result: RunResult) -> str:
+    """Whether a value of the proposal is in the drive."""
+    there = next((w for w in result.written if w.parameter == change.parameter), None)
+    if there is None:
+        return "proposed"
+    if not there.certain:
+        return f"not known: the write of {there.raw} was cut off"
+    return "written, read back" if there.raw == change.new_raw else f"{there.raw} is in the drive"
+
+
+def nothing_proposed(result: RunResult) -> str:
+    """Why a run proposes nothing to be written."""
+    if result.friction.coulomb is None:
+        return "no friction was measured, so there is nothing to write"
+    if result.host_compensation is not None:
+        return host_law(result.host_compensation)
+    if result.quality.has("proposal.impossible"):
+        return "the drive cannot hold what was found: the reasons are above"
+    if result.identity is None:
+        return "a recording has no drive to write to"
+    return "this drive has no friction compensation to write to: identify and report only"
+
+
+def helps(found: Verification) -> str:
+    """What a proof says."""
+    kept = found.kept
+    if kept is None or found.percent is None:
+        return "verified: the compensation does not help here; the old values are back in the drive"
+    return (
+        f"verified: {found.percent:.0f} % less error after reversals with {100 * kept.fraction:g} % of the "
+        "friction compensated"
+    )
+
+
+# -- how it ended -----------------------------------------------------------------------------------
+
+_AXIS = {
+    AxisState.AT_REST: "axis at rest and off",
+    AxisState.HELD: "axis off and held by its brake",
+    AxisState.NOT_MOVED: "axis not moved",
+    AxisState.NOT_RECORDED: "how its axis was left was not recorded by that version",
+    AxisState.NOT_VERIFIED: "it is NOT VERIFIED that the axis is at rest: use the emergency stop",
+}
+_NAMES_SHOWN = 4
+_STORED = {
+    True: "stored",
+    False: "in its RAM only, lost at power-off",
+    None: "not known to be stored",
+}
+
+
+def act_ended(result: RunResult) -> str:
+    """The line of truth of an act: axis, experiment's settings, compensation in the drive, who ended it."""
+    ending = result.ending
+    if ending is None:
+        return (
+            "cut off: nothing is known of its end; 'tworelay stop' and 'tworelay restore' finish it"
+        )
+    parts = [_AXIS[ending.axis]]
+    if result.run is not None:
+        parts += [_settings(ending, result.run), _drive(ending.drive, result)]
+    if ending.said_by is not None:
+        parts.append(f"ended by {ending.said_by}")
+    return "; ".join(parts)
+
+
+def _settings(ending: Ending, run: str) -> str:
+    names = ending.settings.names
+    if not names:
+        return "settings put back"
+    more = f" and {len(names) - _NAMES_SHOWN} more" if names[_NAMES_SHOWN:] else ""
+    return (
+        f"settings NOT put back: {', '.join(names[:_NAMES_SHOWN])}{more} ('tworelay restore {run}' tries "
+        "again)"
+    )
+
+
+def _drive(state: DriveState, result: RunResult) -> str:
+    compensation = state.compensation
+    gains = [one.parameter for one in result.written if one.kind == "gain"]
+    also = f", with gains of this run ({', '.join(gains)})" if gains else ""
+    if compensation is CompensationState.AS_FOUND:
+        return f"the drive's compensation is as it was found{also}"
+    if compensation is CompensationState.NOT_KNOWN:
+        return (
+            f"it is NOT KNOWN what compensation the drive has{also} ('tworelay restore {result.run}' puts "
+            "the old values back)"
+        )
+    return f"the drive's compensation is {compensation}, {_STORED[state.stored]}{also}"

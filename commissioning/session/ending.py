@@ -1,0 +1,165 @@
+"""How a result begins, and how every act ends: with what is true of axis, settings and drive then."""
+
+from __future__ import annotations
+
+import getpass
+import platform
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
+
+from commissioning.identification.reasons import Reason, Weight
+from commissioning.records import History
+from commissioning.result.document import (
+    SCHEMA,
+    AxisState,
+    Ending,
+    Error,
+    ProfileMark,
+    Quality,
+    RunResult,
+    Tool,
+    Units,
+)
+from commissioning.runs import Array, RunFolder, drive_state, left_in_drive, resolve, settings_state
+from commissioning.session.desk import Desk
+from drivers.drive import Drive
+from profiles.axis import Axis
+from profiles.errors import TwoRelayError, UsageError
+from profiles.library import digest
+from profiles.schema import Identity, Profile
+
+__all__ = [
+    "axis_state",
+    "begun",
+    "close_act",
+    "ended",
+    "erring",
+    "failed",
+    "of_failed",
+    "of_run",
+    "on_drive",
+    "stopped_state",
+]
+
+
+def _now() -> str:
+    """ISO 8601, with the zone of this computer."""
+    return datetime.now().astimezone().isoformat(timespec="seconds")
+
+
+def _tool() -> Tool:
+    try:
+        return Tool("tworelay", version("tworelay"))
+    except PackageNotFoundError:  # from a folder that is not installed
+        return Tool("tworelay", "unknown")
+
+
+def _operator() -> str | None:
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError, ImportError):
+        return None
+
+
+def begun(axis: Axis) -> RunResult:
+    """A result in which nothing is known yet but whose it is."""
+    return RunResult(
+        SCHEMA, "failed", axis.name, Units.of("rad" if axis.position_unit == "rad" else "m"), _tool(),
+        platform.node() or None, _operator(), _now(), link=axis.link,
+    )  # fmt: skip
+
+
+def on_drive(
+    result: RunResult, axis: Axis, link: str, profile: Profile, identity: Identity
+) -> RunResult:
+    """The same on a drive that is connected."""
+    mark = ProfileMark(profile.name, profile.version, digest(profile))
+    return replace(result, axis=axis.name, link=link, profile=mark, identity=identity)
+
+
+# -- endings ----------------------------------------------------------------------------------------
+
+
+def axis_state(drive: Drive, axis: Axis) -> AxisState:
+    """What a drive that was commanded says of its axis now."""
+    try:
+        return stopped_state(axis, deenergised=not drive.is_energised())
+    except TwoRelayError:
+        return AxisState.NOT_VERIFIED
+
+
+def stopped_state(axis: Axis, *, deenergised: bool | None) -> AxisState:
+    """The same by what a stop reached."""
+    if not deenergised:
+        return AxisState.NOT_VERIFIED
+    return AxisState.HELD if axis.mechanics.held_by == "brake" else AxisState.AT_REST
+
+
+def ended(
+    result: RunResult, history: History | None, axis: AxisState, said_by: str | None = None
+) -> RunResult:
+    """The result with its ending; settings and drive by the journal of the run, where one was begun."""
+    if history is None:
+        return replace(result, ended=_now(), ending=Ending(axis, said_by=said_by))
+    written = left_in_drive(result, history)
+    result = replace(result, written=written, ended=_now())
+    found = Ending(axis, settings_state(history), drive_state(result, history), said_by)
+    return replace(result, ending=found)
+
+
+def failed(result: RunResult, error: TwoRelayError) -> RunResult:
+    """The result of a measurement that ended with `error`: without numbers that nobody should use."""
+    quality = result.quality
+    if error.status != "rejected":
+        quality = Quality()
+    elif quality.verdict != "rejected":
+        reason = Reason("measurement.none", Weight.CONTRADICTION, str(error))
+        quality = Quality("rejected", (reason,))
+    return erring(replace(result, quality=quality), error)
+
+
+def erring(result: RunResult, error: TwoRelayError) -> RunResult:
+    """The result of an act on a run that ended with `error`."""
+    said = Error(error.code, str(error), error.hint, dict(error.numbers))
+    return replace(result, status=error.status, error=said)
+
+
+def close_act(
+    desk: Desk,
+    folder: RunFolder,
+    result: RunResult,
+    axis: AxisState,
+    error: TwoRelayError | None = None,
+    curves: Mapping[str, Array] | None = None,
+) -> RunResult:
+    """Write into the run what an act on it did, and how it ended; returns the result."""
+    said_by = None if error is None else error.said_by or None
+    if error is not None:
+        result = erring(result, error)
+    assert result.run is not None
+    result = ended(result, desk.journal.history(result.run), axis, said_by)
+    folder.save(result, curves=curves)
+    if error is not None:
+        error.noted = True
+    return result
+
+
+def of_run(desk: Desk, run: str) -> RunResult | None:
+    """The result of a run with what its journal says now; None where it was killed before it wrote any."""
+    history = desk.journal.history(run)
+    try:
+        return RunFolder.of(desk.journal, run).result(history)
+    except UsageError:
+        return None
+
+
+def of_failed(desk: Desk, run: str, error: TwoRelayError) -> RunResult:
+    """The result of a run that an act on it ended early: as the act left it, or as it was before."""
+    run_id, folder = resolve(desk.journal, run)
+    history = folder.history(desk.journal, run_id)
+    result = folder.result(history)
+    if error.noted:
+        return result
+    return ended(erring(result, error), history, AxisState.NOT_MOVED, error.said_by or None)

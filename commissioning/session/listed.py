@@ -1,0 +1,93 @@
+"""The runs of this computer in one table: what was measured when, and what is in the drive now."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from commissioning.journal import Journal
+from commissioning.processes import is_alive
+from commissioning.records import History, RunRecord
+from commissioning.result.document import CompensationState, Quantity, RunResult
+from commissioning.result.words import VERDICTS
+from commissioning.runs import RunFolder, drive_state
+from profiles.errors import UsageError
+
+__all__ = ["Listed", "runs"]
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """One run.
+
+    Attributes
+    ----------
+    began : s since 1970, by the computer's clock then
+    verdict : of the measurement, or what became of the run instead
+    coulomb : None where none was measured, or the files are gone
+    drive : what the run has left in the drive, in words
+    adopted : it was measured on another computer
+    """
+
+    run: str
+    axis: str
+    began: float
+    verdict: str
+    coulomb: Quantity | None
+    drive: str
+    adopted: bool
+
+
+def runs(journal: Journal, axis: str | None, most: int | None) -> tuple[list[Listed], int]:
+    """The last `most` runs (of `axis`) in the order in which they came, and how many there are before."""
+    found = [one for one in journal.runs() if axis is None or one.axis == axis]
+    shown = found if most is None else found[-most:]
+    return [_listed(journal, one) for one in shown], len(found) - len(shown)
+
+
+def _listed(journal: Journal, record: RunRecord) -> Listed:
+    history = journal.history(record.id)
+    result: RunResult | None = None
+    try:
+        result = RunFolder.of(journal, record.id).result(history)
+        verdict = _verdict(result, record)
+    except UsageError:
+        gone = any(event.text == "files deleted" for event in history.events)
+        verdict = "files deleted" if gone else "files missing"
+    return Listed(
+        record.id, record.axis, record.created, verdict, result.coulomb if result else None,
+        _in_drive(result, history), record.adopted,
+    )  # fmt: skip
+
+
+def _verdict(result: RunResult, record: RunRecord) -> str:
+    if result.ending is None and record.status == "running":
+        alive = is_alive(record.context.pid, record.context.started)
+        return "in progress" if alive and not record.adopted else "cut off"
+    if result.quality.verdict is None:
+        return result.status if result.status != "completed" else VERDICTS[None]
+    proved = result.verification
+    if proved is not None and proved.kept is None:
+        return f"{VERDICTS[result.quality.verdict]}, does not help"
+    if result.status != "completed" and result.measured:
+        return f"{VERDICTS[result.quality.verdict]}, then {result.status}"
+    return VERDICTS[result.quality.verdict]
+
+
+_MEMORY = {True: ", stored", False: ", not stored", None: ", not known to be stored"}
+
+
+def _in_drive(result: RunResult | None, history: History) -> str:
+    """What the run has left there, in a few words."""
+    left = [intent for intent in history.intents if intent.is_open]
+    if any(not intent.lasts for intent in left):
+        return "settings not put back"
+    if result is None:
+        return "values of this run" if left else "as found"
+    state = drive_state(result, history)
+    if state.compensation is CompensationState.AS_FOUND:
+        gains = any(one.kind == "gain" for one in result.written)
+        return "gains of this run" if gains else "as found"
+    if state.compensation is CompensationState.NOT_KNOWN:
+        return "not known"
+    whole = state.compensation is CompensationState.OF_RUN
+    return ("this run's" if whole else "partly this run's") + _MEMORY[state.stored]

@@ -1,0 +1,1 @@
+"""Results: their types, their JSON, their words."""

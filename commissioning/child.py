@@ -5,19 +5,19 @@ Run as a script, before anything of ours is imported.
 
 from __future__ import annotations
 
-import runpy
+import os.path
 import sys
 from importlib.util import find_spec
-from pathlib import Path
 
 __all__ = ["main", "shadow"]
 
 _PACKAGES = "commissioning", "drivers", "profiles"
 
 
-def shadow(root: Path) -> str:
-    """What hides a package of ours, which lie in `root`, in words; '' when nothing does."""
-    for name in _PACKAGES:
+def shadow(root: str) -> str:
+    """What hides a package of ours, which lie in the folder `root`, in words; '' when nothing does."""
+    for name in _PACKAGES:  # without pathlib, which a `--help` would wait for
+        ours = os.path.join(root, name)  # noqa: PTH118
         spec = find_spec(name)
         where = (
             None
@@ -26,9 +26,9 @@ def shadow(root: Path) -> str:
         )
         if where is None:
             return f"tworelay's own package '{name}' is not in {root}: install it again"
-        if Path(where).resolve().parent not in (root / name, root):
+        if os.path.dirname(os.path.realpath(where)) not in (ours, root):  # noqa: PTH120
             return (
-                f"{where} hides tworelay's own package '{name}' ({root / name}): rename it, start in another "
+                f"{where} hides tworelay's own package '{name}' ({ours}): rename it, start in another "
                 "folder, or take its folder out of PYTHONPATH"
             )
     return ""
@@ -39,10 +39,12 @@ def main() -> int:
     root, module, *arguments = sys.argv[1:]
     if root not in sys.path:
         sys.path.insert(0, root)
-    hidden = shadow(Path(root))
+    hidden = shadow(root)
     if hidden:
         sys.stdout.write(f"{hidden}\n")
         return 2
+    import runpy
+
     sys.argv = [module, *arguments]
     runpy.run_module(module, run_name="__main__", alter_sys=True)
     return 0

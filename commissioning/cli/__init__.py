@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import errno
 import io
+import os.path
 import sys
 from importlib import import_module
-from pathlib import Path
 
 import click
 
 from commissioning.child import shadow
 
 __all__ = ["main"]
+
+_ROOT = os.path.realpath(os.path.join(os.path.dirname(__file__), "..", ".."))  # noqa: PTH118, PTH120
 
 # name: (module, help line); help lines stand here so that --help imports no command
 _COMMANDS: dict[str, tuple[str, str]] = {
@@ -78,29 +80,14 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # an old code page must not end a job
-    hidden = shadow(Path(__file__).resolve().parents[2])
+    hidden = shadow(_ROOT)
     if hidden:
         sys.stderr.write(f"tworelay: {hidden}\n")  # nothing of ours can be imported
         sys.exit(2)
-    from commissioning.cli.output import document, say
-
     try:
         cli.main(standalone_mode=False)
     except click.exceptions.Exit as stop:
         sys.exit(stop.exit_code)
-    except click.exceptions.Abort:
-        say("tworelay: interrupted", err=True)
-        sys.exit(130)
-    except click.exceptions.NoArgsIsHelpError as error:
-        document(error.format_message() + "\n")
-        sys.exit(2)
-    except click.ClickException as error:
-        # click's own wording, on one line
-        message = " ".join(error.format_message().split())
-        where = getattr(error, "ctx", None)
-        hint = f" Try '{where.command_path} --help'." if where is not None else ""
-        say(f"tworelay: {message}{hint}", err=True)
-        sys.exit(2)
     except Exception as error:
         sys.exit(_report_failure(error))
 
@@ -109,6 +96,18 @@ def _report_failure(error: Exception) -> int:
     from commissioning.cli.output import document, say
     from profiles.errors import TwoRelayError
 
+    if isinstance(error, click.exceptions.Abort):
+        say("tworelay: interrupted", err=True)
+        return 130
+    if isinstance(error, click.exceptions.NoArgsIsHelpError):
+        document(error.format_message() + "\n")
+        return 2
+    if isinstance(error, click.ClickException):  # its own wording, on one line
+        message = " ".join(error.format_message().split())
+        where = getattr(error, "ctx", None)
+        hint = f" Try '{where.command_path} --help'." if where is not None else ""
+        say(f"tworelay: {message}{hint}", err=True)
+        return 2
     if isinstance(error, OSError) and error.errno == errno.ENOSPC:
         say(f"tworelay: {error.strerror}: what was asked for cannot be said", err=True)
         return 2

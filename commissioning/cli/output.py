@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import json
 import os
 import sys
 from collections.abc import Generator
@@ -34,6 +33,8 @@ def document(text: str, *, err: bool = False) -> None:
 
 def json_text(tree: Any) -> str:
     """JSON for a file or a stream, in ASCII."""
+    import json
+
     return json.dumps(tree, indent=1, allow_nan=False) + "\n"
 
 

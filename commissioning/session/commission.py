@@ -43,17 +43,22 @@ def prove_and_store(run: str, desk: Desk, show: Show, *, without_watchdog: bool)
     except BaseException as error:
         with contextlib.suppress(Interrupted), desk.interruption.deferred():
             became = leave_as_found(run, desk)
-            _close(run, desk, folder, error, became)
-        if became and isinstance(error, TwoRelayError):
-            error.args = (f"{error}; {became}",)
+            notes = tuple(text for text in (f"not proved: {error}", became) if text)
+            if became and isinstance(error, TwoRelayError):
+                error.args = (f"{error}; {became}",)
+            try:
+                _close(run, desk, folder, error, notes)
+            except TwoRelayError as second:  # a full disk; the drive is as it is said to be
+                error.args = (f"{error}; {second}",)
         raise
 
 
-def _close(run: str, desk: Desk, folder: RunFolder, error: BaseException, became: str) -> None:
+def _close(
+    run: str, desk: Desk, folder: RunFolder, error: BaseException, notes: tuple[str, ...]
+) -> None:
     """What the run keeps of a proof that was not reached."""
     history = desk.journal.history(run)
     result = folder.result(history)
-    notes = tuple(text for text in (f"not proved: {error}", became) if text)
     result = replace(result, notes=result.notes + notes)
     said_by = None
     if isinstance(error, TwoRelayError):

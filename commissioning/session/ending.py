@@ -16,6 +16,7 @@ from commissioning.result.document import (
     AxisState,
     Ending,
     Error,
+    Found,
     ProfileMark,
     Quality,
     RunResult,
@@ -117,7 +118,10 @@ def failed(result: RunResult, error: TwoRelayError) -> RunResult:
     elif quality.verdict != "rejected":
         reason = Reason("measurement.none", Weight.CONTRADICTION, str(error))
         quality = Quality("rejected", (reason,))
-    return erring(replace(result, quality=quality), error)
+    nothing = replace(
+        result, friction=Found(), critical_point=None, compensation=(), host_compensation=None
+    )
+    return erring(replace(nothing, quality=quality), error)
 
 
 def erring(result: RunResult, error: TwoRelayError) -> RunResult:

@@ -28,7 +28,7 @@ from commissioning.session.armed import Failure  # noqa: E402
 from commissioning.session.desk import Desk, Options  # noqa: E402
 from drivers.link import axis_of, open_drive, parse  # noqa: E402
 from drivers.virtual.axes import AXES, VirtualAxis, configured  # noqa: E402
-from profiles.schema import Mode  # noqa: E402
+from profiles.procedures import Mode  # noqa: E402
 
 CYCLES = (0.001, 0.004, 0.010, 0.020)
 LATE = "jitter=0.1&loss=0.02"

@@ -20,7 +20,7 @@ from pymodbus.client import ModbusTcpClient
 
 from drivers.link import axis_of, open_drive
 from drivers.scan import scan
-from profiles.schema import Mode
+from profiles.procedures import Mode
 from tests.peers import Nodes, gateway
 
 __all__ = ["WIRES", "links", "served"]

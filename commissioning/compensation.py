@@ -5,7 +5,8 @@ from __future__ import annotations
 from commissioning.result.document import Change, Found, Host
 from drivers.scaling import Scaling
 from profiles.errors import WriteFailed
-from profiles.schema import Profile, Unit
+from profiles.parameter import Unit
+from profiles.schema import Profile
 
 __all__ = ["host_terms", "propose"]
 

@@ -17,7 +17,7 @@ from drivers.drive import Drive, StopReport
 from drivers.realtime import real_time
 from drivers.sample import Sample
 from profiles.errors import DriveFault, FeedbackReversed, Interrupted, TwoRelayError
-from profiles.schema import Mode
+from profiles.procedures import Mode
 
 __all__ = ["Recorder", "run", "verified"]
 

@@ -6,9 +6,11 @@ from collections.abc import Callable
 from math import nan
 
 from drivers.scaling import Scaling
+from profiles.address import Address, CanopenAddress
 from profiles.axis import Axis
 from profiles.errors import PreflightRefused
-from profiles.schema import Address, CanopenAddress, Profile, Unit
+from profiles.parameter import Unit
+from profiles.schema import Profile
 
 __all__ = ["interpolation_period", "read_bases"]
 

@@ -19,7 +19,7 @@ from drivers.home import home
 from drivers.link import check_virtual, modbus_wire, open_can
 from drivers.link_text import Link, parse
 from profiles.errors import AccessDenied, LinkError, NoAnswer, TwoRelayError
-from profiles.schema import LinkDefaults, Patience
+from profiles.procedures import LinkDefaults, Patience
 
 __all__ = ["Finding", "of_link", "of_machine"]
 

@@ -9,8 +9,11 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from drivers.sample import Sample
 from drivers.scaling import Scaling
+from profiles.address import Address
 from profiles.commands import SET
-from profiles.schema import Address, Identity, Mode, Profile
+from profiles.identity import Identity
+from profiles.procedures import Mode
+from profiles.schema import Profile
 
 if TYPE_CHECKING:
     from drivers.serial_port import SerialPort, Stream

@@ -16,8 +16,10 @@ from drivers.patience import when_up
 from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis, AxisLimits, Mechanics
 from profiles.errors import AccessDenied, IdentityMismatch, LinkError, Refused, UsageError
+from profiles.identity import NOBODY, Identity
 from profiles.library import fitting, load_profile
-from profiles.schema import NOBODY, Identity, LinkDefaults, Patience, Profile
+from profiles.procedures import LinkDefaults, Patience
+from profiles.schema import Profile
 
 if TYPE_CHECKING:
     from drivers.modbus.wires import Wire

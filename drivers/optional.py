@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from profiles.schema import Address, Profile, Watchdog
+from profiles.address import Address
+from profiles.procedures import Watchdog
+from profiles.schema import Profile
 
 __all__ = ["as_it_is"]
 

@@ -11,7 +11,8 @@ from drivers.drive import Bus
 from drivers.patience import patiently
 from drivers.sample import Status
 from profiles.errors import DriveFault, NoAnswer, PreflightRefused, WriteDenied, WriteFailed
-from profiles.schema import Condition, Power, Profile, Step
+from profiles.procedures import Condition, Power, Step
+from profiles.schema import Profile
 
 __all__ = ["Cia402Power", "PowerStage", "ProcedurePower", "perform", "power_of"]
 

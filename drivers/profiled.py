@@ -25,17 +25,10 @@ from profiles.errors import (
     WriteDenied,
     WriteFailed,
 )
-from profiles.schema import (
-    NOBODY,
-    Access,
-    Identity,
-    Mode,
-    ModeCode,
-    Parameter,
-    Profile,
-    Protection,
-    Trust,
-)
+from profiles.identity import NOBODY, Identity
+from profiles.parameter import Access, Parameter, Protection, Trust
+from profiles.procedures import Mode, ModeCode
+from profiles.schema import Profile
 
 if TYPE_CHECKING:
     from drivers.serial_port import Stream

@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import pi
 
+from profiles.address import Address
 from profiles.axis import Mechanics
 from profiles.errors import WriteFailed
-from profiles.schema import Address, Parameter, Unit
+from profiles.parameter import Parameter, Unit
 
 __all__ = ["Scaling"]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from drivers.link import modbus_wire, open_can
 from drivers.link_text import Link, parse
 from profiles.errors import UsageError
+from profiles.identity import Identity
 from profiles.library import builtin_names, load_profile
-from profiles.schema import Identity
 
 __all__ = ["Found", "scan"]
 

@@ -8,8 +8,10 @@ from math import inf, nan
 from typing import NamedTuple, TypeVar
 
 from drivers.drive import Bus, StopFrames, StopReport
+from profiles.address import Address
 from profiles.errors import AccessDenied, WriteFailed
-from profiles.schema import Address, Profile, Step
+from profiles.procedures import Step
+from profiles.schema import Profile
 
 __all__ = ["Rest", "StopPath"]
 

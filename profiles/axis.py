@@ -13,7 +13,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from profiles.errors import ProfileError
-from profiles.schema import _Strict
+from profiles.strict import Strict
 from profiles.toml_files import load_model
 
 __all__ = ["Axis", "AxisLimits", "Mechanics", "load_axis"]
@@ -21,7 +21,7 @@ __all__ = ["Axis", "AxisLimits", "Mechanics", "load_axis"]
 Positive = Annotated[float, Field(gt=0)]
 
 
-class Mechanics(_Strict):
+class Mechanics(Strict):
     """How the motor moves the axis.
 
     Parameters
@@ -57,7 +57,7 @@ class Mechanics(_Strict):
         return 2 * pi / self.travel_per_revolution
 
 
-class AxisLimits(_Strict):
+class AxisLimits(Strict):
     """What the axis may never exceed in an experiment."""
 
     torque: Positive | None = None  # N.m or N at the axis
@@ -80,7 +80,7 @@ def _name(text: str) -> str:
     return text
 
 
-class Axis(_Strict):
+class Axis(Strict):
     """One axis of a machine.
 
     `travel` is the room on either side of the position where the job starts, rad or m.

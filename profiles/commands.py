@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from profiles.schema import CanopenAddress, Mode, Profile, Protection, Step
+from profiles.address import CanopenAddress
+from profiles.parameter import Protection
+from profiles.procedures import Mode, Step
+from profiles.schema import Profile
 
 __all__ = ["SET", "Commands", "commands_of"]
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from profiles.address import CanopenAddress
 from profiles.eds import DATA_TYPES
 from profiles.plain import plain
-from profiles.schema import CanopenAddress, Profile
+from profiles.schema import Profile
 
 __all__ = ["dcf"]
 

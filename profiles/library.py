@@ -9,9 +9,11 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from profiles.address import MailboxAddress, ModbusAddress
 from profiles.errors import IdentityMismatch, ProfileError, UnknownName
 from profiles.files import contents
-from profiles.schema import NOBODY, Identity, MailboxAddress, ModbusAddress, Profile
+from profiles.identity import NOBODY, Identity
+from profiles.schema import Profile
 from profiles.toml_files import parse_model, parse_tree, read_text, validated
 
 if TYPE_CHECKING:

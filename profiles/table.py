@@ -16,9 +16,10 @@ from typing import Any
 
 import tomlkit
 
+from profiles.address import WIDTH_BITS
 from profiles.draft import Draft, profile_name
 from profiles.errors import ProfileError
-from profiles.schema import WIDTH_BITS, Unit
+from profiles.parameter import Unit
 
 __all__ = ["COLUMNS", "NAMES", "Row", "from_table", "read_csv"]
 

@@ -124,9 +124,10 @@ def _asked(name: str) -> Draft:
     """The same table, asked for."""
     import sys
 
+    from profiles.address import WIDTH_BITS
     from profiles.errors import UsageError
     from profiles.library import draft_from_table
-    from profiles.schema import WIDTH_BITS, Unit
+    from profiles.parameter import Unit
     from profiles.table import NAMES, Row
 
     if not sys.stdin.isatty():

@@ -13,7 +13,7 @@ from pydantic import ConfigDict, Field
 
 from commissioning.identification.reasons import Reason, Verdict
 from profiles.errors import Status
-from profiles.schema import Identity
+from profiles.identity import Identity
 
 __all__ = [
     "LOOPS",

@@ -21,7 +21,8 @@ from profiles.axis import Axis
 from profiles.commands import commands_of
 from profiles.errors import ProfileError, Refused, UnknownName, UsageError
 from profiles.library import load_profile, source_text
-from profiles.schema import Profile, Protection
+from profiles.parameter import Protection
+from profiles.schema import Profile
 
 __all__ = ["Adopted", "adopt"]
 

@@ -31,7 +31,8 @@ from profiles.errors import (
     WriteFailed,
 )
 from profiles.library import builtin_names
-from profiles.schema import Profile, Protection, Trust, Unit
+from profiles.parameter import Protection, Trust, Unit
+from profiles.schema import Profile
 
 __all__ = [
     "apply",

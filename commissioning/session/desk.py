@@ -17,8 +17,8 @@ from drivers.link import open_drive
 from drivers.link_text import is_simulated
 from profiles.axis import Axis
 from profiles.errors import IdentityMismatch, Refused
+from profiles.identity import Identity
 from profiles.library import digest
-from profiles.schema import Identity
 
 __all__ = ["Desk", "Options", "begin_run", "connect", "none_unfinished", "same_drive"]
 

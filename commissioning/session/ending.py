@@ -28,8 +28,9 @@ from commissioning.session.desk import Desk
 from drivers.drive import Drive
 from profiles.axis import Axis
 from profiles.errors import TwoRelayError, UsageError
+from profiles.identity import Identity
 from profiles.library import digest
-from profiles.schema import Identity, Profile
+from profiles.schema import Profile
 
 __all__ = [
     "axis_state",

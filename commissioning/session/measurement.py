@@ -48,7 +48,7 @@ from profiles.errors import (
     TwoRelayError,
     WriteFailed,
 )
-from profiles.schema import Mode
+from profiles.procedures import Mode
 
 __all__ = ["Measurement"]
 

@@ -13,7 +13,7 @@ from commissioning.settings import Settings
 from drivers.drive import SET, Drive
 from profiles.axis import Axis
 from profiles.errors import DriveFault, PreflightRefused, UsageError, WriteDenied
-from profiles.schema import Mode
+from profiles.procedures import Mode
 
 __all__ = [
     "CYCLES_A_WATCHDOG",

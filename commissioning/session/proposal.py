@@ -9,7 +9,7 @@ from commissioning.identification.reasons import Reason, Weight
 from commissioning.result.document import Change, Quality, RunResult
 from drivers.drive import Drive
 from profiles.errors import AccessDenied, WriteFailed
-from profiles.schema import Trust
+from profiles.parameter import Trust
 
 __all__ = ["with_proposal"]
 

@@ -24,7 +24,8 @@ from drivers.drive import Drive
 from drivers.sample import Sample
 from profiles.axis import Axis
 from profiles.errors import DoesNotHelp, PreflightRefused, Refused, TwoRelayError
-from profiles.schema import Mode, Profile
+from profiles.procedures import Mode
+from profiles.schema import Profile
 
 __all__ = ["Wishes", "provable", "verify"]
 

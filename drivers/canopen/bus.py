@@ -32,6 +32,7 @@ from drivers.pace import Pace
 from drivers.patience import patiently
 from drivers.serial_port import SerialPort, Stream
 from drivers.stepping import Simulation, set_simulation
+from profiles.address import Address, CanopenAddress
 from profiles.errors import (
     AccessDenied,
     LinkError,
@@ -43,7 +44,9 @@ from profiles.errors import (
     WriteDenied,
     WriteFailed,
 )
-from profiles.schema import Access, Address, CanopenAddress, Identity, Profile
+from profiles.identity import Identity
+from profiles.parameter import Access
+from profiles.schema import Profile
 
 __all__ = ["NAMELESS", "CanopenBus", "identify", "sync_period"]
 

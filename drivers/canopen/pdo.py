@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Mapping
 
+from profiles.address import WIDTH_BITS, CanopenAddress
 from profiles.errors import ProfileError, UsageError
-from profiles.schema import WIDTH_BITS, CanopenAddress
 
 __all__ = [
     "HEARTBEAT_PRODUCER",

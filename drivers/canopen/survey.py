@@ -12,7 +12,7 @@ from drivers.canopen.bus import identify
 from drivers.canopen.wire import HEARTBEAT, CanWire
 from drivers.patience import when_up
 from profiles.errors import AccessDenied, LinkError
-from profiles.schema import Identity
+from profiles.identity import Identity
 
 __all__ = ["Node", "Traffic", "ask", "listen", "survey"]
 

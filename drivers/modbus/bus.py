@@ -16,6 +16,7 @@ from drivers.pace import Pace
 from drivers.patience import patiently
 from drivers.serial_port import SerialPort, Stream
 from drivers.stepping import TWIN_MARK, TWIN_MARKED, Simulation, set_simulation
+from profiles.address import Address, MailboxAddress, ModbusAddress
 from profiles.errors import (
     AccessDenied,
     DriveFault,
@@ -25,15 +26,9 @@ from profiles.errors import (
     UsageError,
     WriteDenied,
 )
-from profiles.schema import (
-    NOBODY,
-    Address,
-    Identity,
-    LinkDefaults,
-    MailboxAddress,
-    ModbusAddress,
-    Profile,
-)
+from profiles.identity import NOBODY, Identity
+from profiles.procedures import LinkDefaults
+from profiles.schema import Profile
 
 __all__ = ["ModbusBus", "answers", "identify"]
 

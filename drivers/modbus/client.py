@@ -28,7 +28,7 @@ from drivers.modbus.wires import RtuLine, TcpWire, Wire
 from drivers.pace import Silence
 from drivers.serial_port import SerialPort, Stream
 from profiles.errors import AccessDenied, LinkError, LinkLost, NoAnswer
-from profiles.schema import LinkDefaults
+from profiles.procedures import LinkDefaults
 
 __all__ = ["POST_ANSWER", "Client", "ExceptionAnswer", "NoAnswer"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from profiles.schema import ModbusAddress
+from profiles.address import ModbusAddress
 
 __all__ = ["decode", "encode"]
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from drivers.modbus.bus import identify
 from drivers.modbus.client import Client, ExceptionAnswer, NoAnswer
 from profiles.errors import AccessDenied, LinkError
-from profiles.schema import NOBODY, Identity
+from profiles.identity import NOBODY, Identity
 
 __all__ = ["EVERYBODY", "Unit", "is_there", "survey"]
 

@@ -16,8 +16,10 @@ from drivers.virtual.firmware import SECOND, Denied, Reason
 from drivers.virtual.habits import NONE, Habits
 from drivers.virtual.modbus_identity import PRODUCT, REVISION, VENDOR
 from drivers.virtual.registers import RegisterMap
+from profiles.address import Address, ModbusAddress
 from profiles.errors import AccessDenied, UsageError, WriteDenied
-from profiles.schema import Address, Identity, ModbusAddress, Profile
+from profiles.identity import Identity
+from profiles.schema import Profile
 
 __all__ = ["DirectBus"]
 

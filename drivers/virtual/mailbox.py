@@ -8,7 +8,7 @@ from typing import Protocol
 
 from drivers.virtual.firmware import Denied
 from drivers.virtual.mirror import Entry
-from profiles.schema import Mailbox
+from profiles.procedures import Mailbox
 
 __all__ = ["VirtualMailbox"]
 

@@ -17,7 +17,7 @@ from drivers.virtual.mailbox import VirtualMailbox
 from drivers.virtual.mirror import Entry
 from drivers.virtual.modbus_identity import PRODUCT, REVISION, VENDOR
 from drivers.virtual.switchgear import Switchgear
-from profiles.schema import Mailbox
+from profiles.procedures import Mailbox
 
 __all__ = ["CLOCK", "OWN", "Layout", "RegisterMap"]
 

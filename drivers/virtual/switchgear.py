@@ -5,7 +5,8 @@ from __future__ import annotations
 from drivers.virtual.device import Device
 from drivers.virtual.firmware import State
 from drivers.virtual.objects import MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE
-from profiles.schema import Condition, Mode, Power, Profile, Step
+from profiles.procedures import Condition, Mode, Power, Step
+from profiles.schema import Profile
 
 __all__ = ["Switchgear"]
 

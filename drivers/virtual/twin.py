@@ -17,15 +17,10 @@ from drivers.virtual.mirror import Entry
 from drivers.virtual.objects import MODES
 from drivers.virtual.registers import CLOCK, Layout, RegisterMap
 from drivers.virtual.switchgear import Switchgear
+from profiles.address import CanopenAddress, MailboxAddress, ModbusAddress
 from profiles.errors import UsageError
-from profiles.schema import (
-    CanopenAddress,
-    MailboxAddress,
-    ModbusAddress,
-    Parameter,
-    Profile,
-    Unit,
-)
+from profiles.parameter import Parameter, Unit
+from profiles.schema import Profile
 
 __all__ = ["modbus_twin", "twin"]
 

@@ -9,8 +9,9 @@ from commissioning.result.document import Found, Quantity
 from drivers.scaling import Scaling
 from profiles.axis import Mechanics
 from profiles.errors import WriteFailed
+from profiles.law import Compensation, CompensationLaw
 from profiles.library import load_profile
-from profiles.schema import Compensation, CompensationLaw, Profile
+from profiles.schema import Profile
 
 BASE = load_profile("virtual-modbus")
 SCALING = Scaling(1.0, 131072, Mechanics())

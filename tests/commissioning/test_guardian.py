@@ -22,7 +22,7 @@ from drivers.link import open_drive
 from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis
 from profiles.errors import DriveFault, LinkError, LinkLost, PreflightRefused
-from profiles.schema import Mode
+from profiles.procedures import Mode
 from tests.commissioning.test_guardian_line import impatient
 from tests.conftest import Serve
 from tests.serving import WIRES

@@ -20,7 +20,8 @@ from drivers.profiled import ProfiledDrive
 from drivers.sample import Sample
 from profiles.axis import Axis, AxisLimits
 from profiles.errors import DriveFault, PreflightRefused, UsageError
-from profiles.schema import Mode, Profile
+from profiles.procedures import Mode
+from profiles.schema import Profile
 
 AXIS = axis_of("virtual://bench")
 COUNT = 6.283185307179586 / 131072  # rad

@@ -19,7 +19,7 @@ from drivers.link import axis_of, open_drive
 from drivers.profiled import ProfiledDrive
 from drivers.sample import Sample
 from profiles.errors import DriveFault, EnvelopeTripped, Interrupted, LinkLost
-from profiles.schema import Mode
+from profiles.procedures import Mode
 
 WIDE = Envelope(centre=0.0, travel=100.0, speed=500.0, torque=1.0, duration=60.0)
 

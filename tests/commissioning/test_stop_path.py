@@ -17,7 +17,7 @@ from drivers.virtual.device import Device
 from drivers.virtual.firmware import Firmware, State
 from profiles.errors import EnvelopeTripped, Interrupted, LinkLost, MeasurementRejected
 from profiles.library import load_profile
-from profiles.schema import Mode
+from profiles.procedures import Mode
 
 WIDE = Envelope(centre=0.0, travel=100.0, speed=500.0, torque=1.0, duration=60.0)
 

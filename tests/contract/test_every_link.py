@@ -15,7 +15,7 @@ from drivers.virtual.axes import AXES, configured
 from drivers.virtual.device import Device
 from drivers.virtual.firmware import Firmware
 from profiles.errors import AccessDenied, PreflightRefused, UnknownName, WriteDenied, WriteFailed
-from profiles.schema import Mode
+from profiles.procedures import Mode
 from tests.conftest import Serve
 from tests.serving import WIRES
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from drivers.canopen.pdo import Objects, Pdo
+from profiles.address import CanopenAddress
 from profiles.errors import ProfileError
-from profiles.schema import CanopenAddress
 
 
 def at(index: int, kind: str, sub: int = 0) -> CanopenAddress:

@@ -8,9 +8,11 @@ import pytest
 
 from drivers.drive import Exchange
 from drivers.power import Cia402Power, ProcedurePower, perform, power_of
+from profiles.address import Address
 from profiles.errors import DriveFault, PreflightRefused, WriteFailed
 from profiles.library import load_profile
-from profiles.schema import Address, Profile, Step
+from profiles.procedures import Step
+from profiles.schema import Profile
 from profiles.toml_files import parse_model
 from tests.command import ROOT
 

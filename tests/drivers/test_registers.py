@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from drivers.modbus.registers import decode, encode
-from profiles.schema import ModbusAddress
+from profiles.address import ModbusAddress
 
 
 def address(kind: str, order: str = "high-first") -> ModbusAddress:

@@ -10,9 +10,11 @@ import pytest
 from drivers.drive import StopReport
 from drivers.serial_port import SerialPort
 from drivers.stopping import Rest, StopPath
+from profiles.address import Address
 from profiles.errors import AccessDenied, LinkLost
 from profiles.library import load_profile
-from profiles.schema import Address, Profile, Step
+from profiles.procedures import Step
+from profiles.schema import Profile
 from profiles.toml_files import parse_model
 from tests.command import ROOT
 

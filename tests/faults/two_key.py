@@ -16,9 +16,10 @@ from drivers.virtual.direct import DirectBus
 from drivers.virtual.firmware import SECOND, Denied, Firmware
 from drivers.virtual.memory import Memory
 from drivers.virtual.twin import modbus_twin
+from profiles.address import Address, ModbusAddress
 from profiles.axis import Axis
 from profiles.errors import AccessDenied, WriteDenied
-from profiles.schema import Address, ModbusAddress, Profile
+from profiles.schema import Profile
 from tests.command import ROOT
 
 __all__ = ["TWO_KEY", "in_process"]

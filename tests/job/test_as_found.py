@@ -20,10 +20,10 @@ from drivers.home import home
 from drivers.link import axis_of, open_drive
 from drivers.modbus.bus import ModbusBus
 from drivers.profiled import ProfiledDrive
+from profiles.address import Address
 from profiles.axis import Axis
 from profiles.errors import DriveFault, Interrupted, LinkLost, WriteDenied, WriteFailed
 from profiles.library import load_profile, source_text
-from profiles.schema import Address
 from tests.command import ROOT
 from tests.conftest import Serve, Tworelay
 

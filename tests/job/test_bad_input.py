@@ -16,7 +16,7 @@ import pytest
 from drivers.drive import Drive
 from drivers.link import axis_of, open_drive
 from profiles.library import source_text
-from profiles.schema import Mode
+from profiles.procedures import Mode
 from tests.command import running
 from tests.conftest import Serve, Tworelay
 from tests.interrupting import signalled

@@ -18,7 +18,7 @@ from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis
 from profiles.errors import EnvelopeTripped
 from profiles.library import builtin_names, load_profile
-from profiles.schema import Mode
+from profiles.procedures import Mode
 from tests.command import ROOT
 from tests.conftest import Serve, Tworelay
 

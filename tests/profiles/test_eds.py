@@ -8,10 +8,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from profiles.address import CanopenAddress
 from profiles.eds import parse_eds, read_eds
 from profiles.errors import ProfileError
 from profiles.library import check, draft_from_eds, load_profile
-from profiles.schema import CanopenAddress, Mode
+from profiles.procedures import Mode
 from tests.command import ROOT
 from tests.conftest import Tworelay
 

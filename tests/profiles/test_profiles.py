@@ -8,6 +8,8 @@ import pytest
 
 from profiles.axis import load_axis
 from profiles.errors import IdentityMismatch, ProfileError, UnknownName
+from profiles.identity import Identity
+from profiles.law import CompensationLaw
 from profiles.library import (
     builtin_names,
     check,
@@ -16,7 +18,6 @@ from profiles.library import (
     load_profile,
     source_text,
 )
-from profiles.schema import CompensationLaw, Identity
 from tests.command import ROOT
 
 TEXT = source_text("virtual-modbus")

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from profiles.address import ModbusAddress
 from profiles.errors import ProfileError
 from profiles.library import check, draft_from_csv, load_profile
-from profiles.schema import ModbusAddress, Profile, Unit
+from profiles.parameter import Unit
+from profiles.schema import Profile
 from profiles.table import from_table, read_csv
 from profiles.toml_files import parse_model
 from tests.conftest import Tworelay

@@ -14,8 +14,8 @@ from drivers.modbus.client import Client, NoAnswer
 from drivers.modbus.wires import TcpWire
 from drivers.pace import WallPace
 from profiles.errors import AccessDenied, DriveFault, LinkError, LinkLost
+from profiles.identity import Identity
 from profiles.library import load_profile
-from profiles.schema import Identity
 
 
 @contextmanager

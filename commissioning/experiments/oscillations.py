@@ -15,7 +15,7 @@ from commissioning.experiments.first_look import FirstLook
 from commissioning.experiments.oscillator import Held, Oscillator, Wave, hold, stop_at_reversal
 from commissioning.experiments.plan import Context, Plan, come_to_rest
 from commissioning.experiments.relay import Relay
-from commissioning.experiments.relay_test import Span, limit_cycle
+from commissioning.experiments.relay_cycles import Span, limit_cycle
 from commissioning.identification.limit_cycle import LimitCycle, periods_of
 from drivers.sample import Sample
 from profiles.errors import MeasurementRejected
@@ -46,7 +46,6 @@ class Oscillations:
     begin, end : s
     relay : limit cycle of the relay's last periods
     relay_span : where they lie, s
-    relay_knob : hysteresis that was reached, rad or m
     held : the stretches of the oscillator
     periods : of all
     """
@@ -55,7 +54,6 @@ class Oscillations:
     end: float
     relay: LimitCycle
     relay_span: Span
-    relay_knob: float
     held: tuple[Held, ...]
     periods: int
 
@@ -112,7 +110,7 @@ def oscillations(
     sample = yield from stop_at_reversal(oscillator.torque, sample, relay.bias, 2 * cycle.period)
     yield from come_to_rest(relay.bias, context)
     periods = relay_periods + sum(found.periods for found in held)
-    return Oscillations(begin, end, cycle, span, relay.knob, tuple(held), periods)
+    return Oscillations(begin, end, cycle, span, tuple(held), periods)
 
 
 def _lead(before: float, after: float, coulomb: float) -> float:

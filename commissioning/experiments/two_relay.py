@@ -14,7 +14,7 @@ from commissioning.experiments.design import RelayDesign
 from commissioning.experiments.first_look import FirstLook
 from commissioning.experiments.plan import Context, Plan
 from commissioning.experiments.relay import Relay, Switching
-from commissioning.experiments.relay_test import (
+from commissioning.experiments.relay_cycles import (
     RelayTest,
     Span,
     balanced,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["equivalent", "inverse_locus", "inverse_locus_ideal", "relay"]
+__all__ = ["equivalent", "inverse_locus", "relay"]
 
 Complex = NDArray[np.complex128]
 
@@ -46,14 +46,6 @@ def equivalent(
     friction: Any = 4j * coulomb / (np.pi * a)
     total: Any = relay(a, relay_amplitude, hysteresis) + friction
     return np.asarray(total, np.complex128)
-
-
-def inverse_locus_ideal(half_swing: ArrayLike, relay_amplitude: float, coulomb: float) -> Complex:
-    """−1/N of the relay without hysteresis (4.9): −πA/4·(d − j·f)/(d² + f²)."""
-    a = np.asarray(half_swing, float)
-    d, f = relay_amplitude, coulomb
-    locus: Any = -np.pi * a / 4 * (d - 1j * f) / (d**2 + f**2)
-    return np.asarray(locus, np.complex128)
 
 
 def inverse_locus(

@@ -12,7 +12,7 @@ from math import hypot, sqrt
 from commissioning.identification.estimate import Estimate
 from commissioning.identification.limit_cycle import LimitCycle
 
-__all__ = ["FrictionEstimate", "feasible", "from_cycles", "solve", "solve_delay"]
+__all__ = ["FrictionEstimate", "from_cycles", "solve"]
 
 # The first harmonic stands for the whole wave. Over the axes of benchmarks/accuracy.md, with the
 # relay settings that tworelay chooses, the value is off by this share of the truth.
@@ -54,22 +54,6 @@ def solve(d1: float, eps1: float, a1: float, d2: float, eps2: float, a2: float) 
     f_re = (a1 / a2 * d2 * eps2 - a2 / a1 * d1 * eps1) / (a1 - a2)
     f_im = (a1 / a2 * d2 * sqrt(a2**2 - eps2**2) - a2 / a1 * d1 * sqrt(a1**2 - eps1**2)) / (a1 - a2)
     return complex(f_re, f_im)
-
-
-def solve_delay(
-    d1: float, phase1: float, a1: float, d2: float, phase2: float, a2: float
-) -> complex:
-    """The same for ideal relays with a delay (4.24); `phase` = ω·τ of each test, rad."""
-    from math import sin
-
-    return solve(d1, a1 * sin(phase1), a1, d2, a2 * sin(phase2), a2)
-
-
-def feasible(first: LimitCycle, f_re: float, a2: float) -> bool:
-    """Whether a match with ε2 ≥ 0 exists: d1·ε1/A1 ≥ f̄_re·(1 − A1/A2) (method.md 2)."""
-    return first.relay_amplitude * first.hysteresis / first.half_swing >= f_re * (
-        1 - first.half_swing / a2
-    )
 
 
 def from_cycles(first: LimitCycle, second: LimitCycle, sampling: float = 0.0) -> FrictionEstimate:

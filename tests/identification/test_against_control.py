@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from commissioning.identification.describing_function import (
     equivalent,
     inverse_locus,
-    inverse_locus_ideal,
     relay,
 )
 
@@ -55,7 +54,7 @@ def test_relay_and_friction_together_4_7(share: float, d: float, f: float, swing
 
 @given(d=torques, f=torques, swing=swings)
 def test_the_locus_without_hysteresis_4_9_figure_4(d: float, f: float, swing: float) -> None:
-    assert complex(inverse_locus_ideal(swing, d, f)) == pytest.approx(
+    assert complex(inverse_locus(swing, d, 0.0, f)) == pytest.approx(
         -1 / both_of_control(swing, d, 0.0, f), rel=1e-9
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import asin, pi, sin
+from math import pi, sin
 
 import numpy as np
 import pytest
@@ -12,10 +12,8 @@ from hypothesis import strategies as st
 from commissioning.identification.describing_function import equivalent
 from commissioning.identification.limit_cycle import LimitCycle, measure, periods_of
 from commissioning.identification.two_relay import (
-    feasible,
     from_cycles,
     solve,
-    solve_delay,
 )
 
 from .axis import matched
@@ -36,8 +34,6 @@ def test_equal_nonlinearities_give_back_the_friction_that_was_put_in(
     assume(0 <= alpha < pi / 2 and d2 > 1e-3)
     found = solve(d1, share * a1, a1, d2, a2 * sin(alpha), a2)
     assert found == pytest.approx(f, rel=1e-6, abs=1e-9)
-    delayed = solve_delay(d1, asin(share), a1, d2, alpha, a2)
-    assert delayed == pytest.approx(f, rel=1e-6, abs=1e-9)
 
 
 @pytest.mark.parametrize("f", [0.05, 0.08, 0.1])
@@ -72,9 +68,3 @@ def test_equal_half_swings_and_impossible_hystereses_are_refused() -> None:
         solve(1, 0.1, 0.5, 2, 0.1, 0.5)
     with pytest.raises(ValueError, match="never switches"):
         solve(1, 0.6, 0.5, 2, 0.1, 0.7)
-
-
-def test_a_match_is_feasible_only_if_the_first_hysteresis_is_large_enough() -> None:
-    first, second = cycles()
-    assert feasible(first, 0.1, second.half_swing)
-    assert not feasible(first, 10.0, second.half_swing)

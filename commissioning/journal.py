@@ -6,11 +6,12 @@ cut at any instant leaves either the old value, or an intent that `restore` can 
 
 from __future__ import annotations
 
+import os
 import re
 import sqlite3
 import time
 import unicodedata
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from commissioning.records import (
     RESTORED,
     STORED,
     STORING,
+    UP_TO,
     Context,
     Event,
     History,
@@ -104,6 +106,11 @@ class Journal:
                 self._prepare()
             self._db.executescript(_VIEWS)
             self._clean_up = undone.pop_all()
+
+    @classmethod
+    def empty(cls) -> Journal:
+        """One without runs, that is nowhere."""
+        return cls(Path(os.devnull) / "nowhere", reading=True)
 
     def _read_only(self, path: Path) -> sqlite3.Connection:
         """The journal as it is, or an empty one; raises OSError, sqlite3.Error."""
@@ -233,6 +240,19 @@ class Journal:
             "it away (and keep it: what is to be restored in which drive stands nowhere else)"
         )
 
+    def note_stored(self, run: str, text: str) -> None:
+        """Say that the drive has stored, and up to which write of the run; `text`: STORED or RESTORED."""
+        now = time.time()
+        with self._errors():
+            row = self._db.execute("SELECT COUNT(*) FROM intents WHERE run=?", (run,)).fetchone()
+            told = [text] if text == RESTORED else [text, f"{UP_TO}{row[0]}"]
+            self._db.execute("BEGIN IMMEDIATE")
+            self._db.executemany(
+                "INSERT INTO events(run, at, text) VALUES (?,?,?)",
+                [(run, now, one) for one in told],
+            )
+            self._db.execute("COMMIT")
+
     def note(self, run: str, text: str) -> None:
         """Append an event to the run's record."""
         with self._errors():
@@ -340,30 +360,28 @@ class Journal:
             ).fetchone()
         return None if row is None else str(row["id"])
 
-    def unfinished(self, serial: str, link: str) -> list[str]:
+    def unfinished(self, serial: str, is_here: Callable[[str], bool]) -> list[str]:
         """Runs on a drive whose experiment settings were never put back, in their order.
 
-        A drive that tells no serial number is the one on `link`.
+        A drive that tells no serial number is the one on a link that `is_here`.
         """
         with self._errors():
             rows = self._db.execute(
-                "SELECT DISTINCT of_drive.id, number FROM of_drive JOIN intents "
+                "SELECT DISTINCT of_drive.id, link, nameless, number FROM of_drive JOIN intents "
                 "ON intents.run = of_drive.id WHERE intents.kind='experiment' "
-                "AND intents.state <> 'restored' AND serial=? AND nameless IN ('', ?) ORDER BY number",
-                (serial, link),
+                "AND intents.state <> 'restored' AND serial=? ORDER BY number",
+                (serial,),
             ).fetchall()
-        return [str(row["id"]) for row in rows]
+        return [str(row["id"]) for row in rows if not row["nameless"] or is_here(row["link"])]
 
-    def unfinished_on(self, link: str) -> list[str]:
-        """Runs on a link whose experiment settings were never put back, in their order."""
+    def unfinished_on(self, is_here: Callable[[str], bool]) -> list[str]:
+        """Runs of this computer on a link that `is_here` whose settings are not back, in their order."""
         with self._errors():
             rows = self._db.execute(
-                "SELECT DISTINCT own.id, number FROM own JOIN intents ON intents.run = own.id "
-                "WHERE intents.kind='experiment' AND intents.state <> 'restored' AND link=? "
-                "ORDER BY number",
-                (link,),
+                "SELECT DISTINCT own.id, link, number FROM own JOIN intents ON intents.run = own.id "
+                "WHERE intents.kind='experiment' AND intents.state <> 'restored' ORDER BY number"
             ).fetchall()
-        return [str(row["id"]) for row in rows]
+        return [str(row["id"]) for row in rows if is_here(row["link"])]
 
     # -- moving a run to another machine -----------------------------------------------------------
 
@@ -375,7 +393,21 @@ class Journal:
                 "SELECT at, text FROM events WHERE run=? ORDER BY seq", (record.id,)
             ).fetchall()
         events = tuple(Event(float(row["at"]), str(row["text"])) for row in rows)
-        return History(record, tuple(self.intents(record.id)), events)
+        return History(record, tuple(self.intents(record.id)), events, self._later(record.id))
+
+    def _later(self, run: str) -> str:
+        """A run on the same drive that wrote what is to stay after this one, and has it there; '': none."""
+        with self._errors():
+            row = self._db.execute(
+                "SELECT of_drive.id FROM of_drive JOIN of_drive AS this ON this.id=? "
+                "JOIN intents ON intents.run = of_drive.id WHERE of_drive.id <> this.id "
+                "AND of_drive.serial = this.serial AND of_drive.nameless = this.nameless "
+                "AND intents.kind <> 'experiment' AND intents.state <> 'restored' AND intents.seq > "
+                "(SELECT IFNULL(MAX(seq), 0) FROM intents WHERE run = this.id AND kind <> 'experiment') "
+                "ORDER BY intents.seq DESC LIMIT 1",
+                (run,),
+            ).fetchone()
+        return "" if row is None else str(row["id"])
 
     def adopt(self, history: History) -> str:
         """Take in the journal of a run of another computer, unless it is known; returns its id."""

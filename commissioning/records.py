@@ -22,6 +22,7 @@ __all__ = [
     "RESTORED",
     "STORED",
     "STORING",
+    "UP_TO",
     "Context",
     "Event",
     "History",
@@ -30,6 +31,7 @@ __all__ = [
     "RunRecord",
     "State",
     "context_text",
+    "has_stored",
     "history_of",
     "history_tree",
     "intent_of",
@@ -43,6 +45,7 @@ _SCHEMA = "tworelay.journal/1"
 _MOST_INTENTS = 10_000
 _LARGEST_NUMBER = 1e300
 STORING, STORED, RESTORED = "storing", "stored", "restored and stored"
+UP_TO = "stored up to write "  # and how many writes of the run there had been, behind STORED
 
 Kind = Literal["experiment", "compensation", "gain"]
 State = Literal["intended", "verified", "restored"]
@@ -124,17 +127,53 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """Everything that a journal knows of a run."""
+    """Everything that a journal knows of a run.
+
+    `later` : a run that has written over its values since, in the same drive; '': none
+    """
 
     run: RunRecord
     intents: tuple[Intent, ...]
     events: tuple[Event, ...]
+    later: str = ""
 
     @property
     def memory(self) -> str:
         """What the run did last to the drive's non-volatile memory: STORED, RESTORED, STORING or ''."""
         told = [e.text for e in self.events if e.text in (STORING, STORED, RESTORED)]
         return told[-1] if told else ""
+
+    def in_ram(self, parameter: str) -> Intent | None:
+        """The last write of a parameter that is meant to stay; None: it has what it had before the run."""
+        those = [i for i in self.intents if i.lasts and i.is_open and i.parameter == parameter]
+        if not those or (those[-1].new == those[0].old and those[-1].state == "verified"):
+            return None
+        return those[-1]
+
+    def in_memory(self, parameter: str) -> int | None:
+        """What the run stored of a parameter last, raw; None: what was there before, or it is not known."""
+        up_to = [e.text for e in self.events if e.text.startswith(UP_TO) or e.text == RESTORED]
+        if not up_to or up_to[-1] == RESTORED:
+            return None
+        count = int(up_to[-1].removeprefix(UP_TO))
+        those = [i for i in self.intents[:count] if i.lasts and i.parameter == parameter]
+        if not those or those[-1].new == those[0].old:
+            return None
+        return those[-1].new
+
+
+def has_stored(history: History, values: dict[str, int]) -> bool:
+    """Whether the drive's memory has these raw values, as far as the run's journal knows."""
+    if history.memory != STORED:
+        return False
+    if not any(event.text.startswith(UP_TO) for event in history.events):
+        return True  # a version that did not say what it stored
+    for name, raw in values.items():
+        old = next((i.old for i in history.intents if i.lasts and i.parameter == name), raw)
+        stored = history.in_memory(name)
+        if raw != (old if stored is None else stored):
+            return False
+    return True
 
 
 # -- what rows and files must be --------------------------------------------------------------------

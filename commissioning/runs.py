@@ -11,13 +11,14 @@ import re
 import zipfile
 import zlib
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from commissioning.journal import STORED, STORING, Journal
-from commissioning.records import History, history_of, history_tree, json_file
+from commissioning.records import UP_TO, History, history_of, history_tree, json_file
 from commissioning.result.codec import Curves, decode, text_of
 from commissioning.result.document import (
     AxisState,
@@ -142,15 +143,29 @@ class RunFolder:
             self.path.mkdir(parents=True, exist_ok=True)
             if profile is not None:
                 replace(self.path / "profile.toml", profile.encode())
-            _, before = self._read(missing=True)
-            if samples is None and (curves or before):
-                samples = self.samples() or Samples.none()
+            if samples is None and (curves or self._old_curves()):
+                samples = self._samples_or_none()
             if samples is not None:
                 samples.curves = _merged(samples.curves, curves or {})
                 replace(self.path / "samples.npz", _archive(samples))
             replace(self.path / "run.json", text_of(result).encode())
         except OSError as error:
             raise JournalError(f"cannot write the run to {self.path}: {error}") from None
+
+    def _old_curves(self) -> Curves:
+        """What an older version has of curves in its result, which is about to be replaced."""
+        with suppress(UsageError):
+            return self._read(missing=True)[1]
+        return {}
+
+    def _samples_or_none(self) -> Samples:
+        """What is recorded; a file that cannot be read is laid aside, so that what is new has a place."""
+        try:
+            return self.samples() or Samples.none()
+        except UsageError:
+            path = self.path / "samples.npz"
+            path.replace(path.with_name("samples.damaged.npz"))
+            return Samples.none()
 
     def _read(self, *, missing: bool = False) -> tuple[RunResult | None, Curves]:
         """The result, and what older versions had of curves in it; raises UsageError."""
@@ -170,8 +185,7 @@ class RunFolder:
 
     def samples(self) -> Samples | None:
         """Recorded samples and curves, or None where the run has none; raises UsageError."""
-        _, old = self._read(missing=True)
-        curves = {name: np.array(columns) for name, columns in old.items()}
+        curves = {name: np.array(columns) for name, columns in self._old_curves().items()}
         path = self.path / "samples.npz"
         if not path.exists() and not path.is_symlink():
             return Samples(Samples.none().columns, [], curves) if curves else None
@@ -255,17 +269,15 @@ class RunFolder:
 
 def left_in_drive(result: RunResult, history: History) -> tuple[Written, ...]:
     """What the run changed and has not put back, by its journal; of what that does not know by the result."""
-    lasting = [intent for intent in history.intents if intent.lasts]
-    if lasting and not any(intent.is_open for intent in lasting):
+    lasting = {intent.parameter: intent for intent in history.intents if intent.lasts}
+    if lasting and not any(i.is_open for i in history.intents if i.lasts):
         return ()
-    left = {one.parameter: one for one in result.written}
+    left = {one.parameter: one for one in result.written if one.parameter not in lasting}
     changes = {c.parameter: c for c in _changes(result)}
-    for name in dict.fromkeys(intent.parameter for intent in lasting):
-        left.pop(name, None)
-        those = [i for i in lasting if i.parameter == name and i.is_open]
-        if not those or (those[-1].new == those[0].old and those[-1].state == "verified"):
+    for name in lasting:
+        last, change = history.in_ram(name), changes.get(name)
+        if last is None:
             continue
-        last, change = those[-1], changes.get(name)
         value = change.new if change is not None and change.new_raw == last.new else None
         left[name] = Written(
             name, "gain" if last.kind == "gain" else "compensation", last.new, value,
@@ -280,17 +292,27 @@ def _changes(result: RunResult) -> tuple[Change, ...]:
 
 def drive_state(result: RunResult, history: History) -> DriveState:
     """Whose compensation is in the drive, by what the run has left there."""
-    memory = history.memory
-    written = [one for one in result.written if one.kind == "compensation"]
+    written = {one.parameter: one for one in result.written if one.kind == "compensation"}
+    names = {i.parameter for i in history.intents if i.kind == "compensation"} | set(written)
+    stored = _is_stored(history, {name: one.raw for name, one in written.items()}, names)
+    if history.later and written:
+        return DriveState(CompensationState.OF_LATER)
     if not written:
-        changes = any(c.old_raw != c.new_raw for c in result.compensation)
-        kept = changes and memory in (STORED, STORING)
-        return DriveState(CompensationState.NOT_KNOWN if kept else CompensationState.AS_FOUND)
-    stored = None if memory == STORING else memory == STORED
-    if not all(one.certain for one in written):
+        return DriveState(CompensationState.AS_FOUND, None if stored else False)
+    if not all(one.certain for one in written.values()):
         return DriveState(CompensationState.NOT_KNOWN, stored)
     whole = result.wrote(result.compensation)
     return DriveState(CompensationState.OF_RUN if whole else CompensationState.PARTLY, stored)
+
+
+def _is_stored(history: History, ram: dict[str, int], names: set[str]) -> bool | None:
+    """Whether the drive's memory has what its RAM has (`ram`: of what differs from before the run)."""
+    memory = history.memory
+    if memory == STORING:  # it was cut off: the memory has the values from before, or these
+        return None if ram else False
+    if memory == STORED and not any(e.text.startswith(UP_TO) for e in history.events):
+        return bool(ram) or not names  # of a version that did not say what it stored
+    return all(history.in_memory(name) == ram.get(name) for name in names)
 
 
 def settings_state(history: History) -> SettingsState:
@@ -304,8 +326,8 @@ def as_of(result: RunResult, history: History) -> RunResult:
     result = dataclasses.replace(result, written=left_in_drive(result, history))
     ending = result.ending
     if ending is None:
-        if history.run.status == "running":  # killed, or under way
-            return result
+        if result.tool is not None or history.run.status == "running":
+            return result  # cut off, or under way
         ending = Ending(AxisState.NOT_RECORDED)
     ending = dataclasses.replace(
         ending, settings=settings_state(history), drive=drive_state(result, history)

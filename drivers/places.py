@@ -12,8 +12,9 @@ from ipaddress import ip_address
 from pathlib import Path
 
 from drivers.link_text import host_and_port, parse
+from profiles.errors import UsageError
 
-__all__ = ["buses"]
+__all__ = ["buses", "same_place"]
 
 _WINDOWS_PORT = re.compile(r"(?:\\\\\.\\)?(com\d+)", re.IGNORECASE)
 
@@ -36,6 +37,20 @@ def buses(text: str) -> tuple[str, ...]:
         return tuple(f"{name} {channel}" for name in _at(host, port))
     mine = f" {os.getpid()}" if link.interface == "virtual" else ""  # python-can's: one process
     return (f"can {link.interface} {link.channel}{mine}",)
+
+
+def same_place(one: str, other: str) -> bool:
+    """Whether two LINKs lead to one drive, however they are spelled: bus, and unit or node."""
+    if one == other:
+        return True
+    try:
+        first, second = parse(one), parse(other)
+    except UsageError:
+        return False
+    if "virtual" in (first.scheme, second.scheme):
+        return False
+    whom = [link.options.get("unit") or link.options.get("node") or "1" for link in (first, second)]
+    return whom[0] == whom[1] and bool(set(buses(one)) & set(buses(other)))
 
 
 def _serial(port: str) -> str:

@@ -7,6 +7,7 @@
     ├── Refused                        3   confirmation declined, travel too small
     │   ├── IdentityMismatch           3   another drive than the profile is for, or than in the run
     │   └── PreflightRefused           3   fault present, limit not accepted, watchdog not proved
+    │       └── DriveEnabled           3   it controls its axis already
     ├── LinkError                      4   unreachable, silent, speaks something else
     │   └── LinkLost                   4   was there, and is gone
     ├── DriveFault                     5   the drive reported a fault in motion
@@ -33,6 +34,7 @@ from typing import Literal
 __all__ = [
     "AccessDenied",
     "DoesNotHelp",
+    "DriveEnabled",
     "DriveFault",
     "EnvelopeTripped",
     "FeedbackReversed",
@@ -133,6 +135,12 @@ class PreflightRefused(Refused):
     """A condition for motion is not met."""
 
     code = "refused.preflight"
+
+
+class DriveEnabled(PreflightRefused):
+    """The drive controls its axis already, by whomever it was enabled."""
+
+    code = "refused.enabled"
 
 
 class LinkError(TwoRelayError):

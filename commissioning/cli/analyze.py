@@ -81,10 +81,18 @@ def command(
         write_json(error.result, json_target)
         raise
     if target is not None:
+        from commissioning.session.ending import ended, erring, untouched
         from commissioning.session.recorded import for_drive
+        from profiles.errors import TwoRelayError
 
-        with at_desk(screen) as desk:
-            result = for_drive(result, axis_from(target, profile), fraction, desk)
+        try:
+            with at_desk(screen) as desk:
+                result = for_drive(result, axis_from(target, profile), fraction, desk)
+        except TwoRelayError as error:
+            result = ended(erring(result, error), None, untouched(error), error.said_by or None)
+            write_json(result, json_target)
+            show.ending(result, screen)
+            raise
     write_json(result, json_target)
     show.summary(result, screen)
     if target is not None:

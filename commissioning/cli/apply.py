@@ -38,7 +38,8 @@ def command(
     screen = Screen(json_target, yes=yes)
     result = write(run, link, screen, json_target, gains)
     write_json(result, json_target)
-    screen.say(f"written; to take it back: tworelay restore {result.run}")
+    if result.written:
+        screen.say(f"to take it back: tworelay restore {result.run}")
     show.ending(result, screen)
 
 

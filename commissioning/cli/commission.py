@@ -51,10 +51,10 @@ def command(target: str, job: Job) -> None:
                 result = _prove(run, screen, job)
             else:
                 screen.say(nothing_proposed(result))
+            write_json(result, job.json_target)
+            show.ending(result, screen)
         finally:
             say_report(run, screen)
-    show.ending(result, screen)
-    write_json(result, job.json_target)
 
 
 def _prove(run: str, screen: Screen, job: Job) -> RunResult:

@@ -73,11 +73,10 @@ def list_runs(axis: str | None, most: int, everything: bool, as_json: bool) -> N
     rows = []
     for one in found:
         f = one.coulomb
-        when = time.strftime("%Y-%m-%d %H:%M", time.localtime(one.began))
         friction = f"{number(f.value, f.unit)} ± {100 * f.half_width:.2g} %" if f else ""
         axis_text = f"{one.axis} (adopted)" if one.adopted else one.axis
-        rows.append([one.run, axis_text, when, one.verdict, friction, one.drive])
-    columns = ["run", "axis", "began", "verdict", "Coulomb friction", "in the drive"]
+        rows.append([one.run, axis_text, one.verdict, friction, one.drive])
+    columns = ["run", "axis", "verdict", "friction", "in the drive"]
     screen.table("runs, newest last", columns, rows)
 
 

@@ -38,5 +38,5 @@ def command(run: str | None, link: str | None, force: bool, dry_run: bool, yes: 
                 show=lambda rows, drive: show.going_back(rows, drive, screen),
             )  # fmt: skip
         screen.say("dry run: nothing was written" if outcome is None else str(outcome))
-        if outcome is not None and (result := of_run(desk, run_id)) is not None:
-            show.ending(result, screen)
+        if outcome is not None:
+            show.ending(of_run(desk, run_id), screen)

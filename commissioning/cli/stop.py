@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+
 import click
 
 from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Screen, at_desk, axis_from
 
 __all__ = ["command"]
+
+UNSAFE = "it is NOT VERIFIED that the axis is at rest: use the emergency stop"
 
 
 @click.command("stop")
@@ -16,13 +21,26 @@ __all__ = ["command"]
 @verbose
 def command(target: str, profile: str | None) -> None:
     """Stop and de-energise the axis at TARGET, whoever enabled it."""
-    from commissioning.session.apply import stop, unfinished
+    from commissioning.journal import Journal
+    from commissioning.processes import is_alive
+    from commissioning.session.apply import stop
+    from drivers.home import home
+    from drivers.places import same_place
+    from profiles.errors import TwoRelayError
 
     screen = Screen(None, yes=True)
     axis = axis_from(target, profile)
     with at_desk(screen, to_stop=True) as desk:
-        screen.say(str(stop(axis, desk)))
-        for run in unfinished(axis, desk):
+        try:
+            screen.say(str(stop(axis, desk)))
+        except TwoRelayError:
+            screen.say(UNSAFE)
+            raise
+    with contextlib.suppress(TwoRelayError), Journal(home(), reading=True) as journal:
+        for run in journal.unfinished_on(lambda link: same_place(link, axis.link or "")):
+            context = journal.run(run).context
+            if context.pid != os.getpid() and is_alive(context.pid, context.started):
+                continue  # it puts them back itself
             screen.say(
                 f"run {run} left settings changed in a drive on this link; 'tworelay restore {run}' puts "
                 "them back"

@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from unicodedata import normalize
 
 import click
 
@@ -20,7 +21,7 @@ from commissioning.session.desk import Desk, Options
 from drivers.home import home
 from drivers.link import axis_of
 from profiles.axis import Axis, load_axis
-from profiles.errors import DoesNotHelp, JournalError, Refused, TwoRelayError, UsageError
+from profiles.errors import DoesNotHelp, Refused, TwoRelayError, UsageError
 from profiles.plain import plain
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ class Screen:
             answer: str = click.prompt(
                 f"Type {plain(word)} to go on", default="", show_default=False, err=self.to_stderr
             )
-        return answer.strip() == word
+        return normalize("NFC", answer.strip()) == normalize("NFC", word)
 
     @contextlib.contextmanager
     def working(self, text: str) -> Generator[None]:
@@ -154,18 +155,13 @@ class Screen:
 def at_desk(
     screen: Screen, trace: Callable[..., None] | None = None, *, to_stop: bool = False
 ) -> Generator[Desk]:
-    """Journal open, signals caught; `to_stop`: whatever the journal is like, and it is only read."""
+    """Journal open, signals caught; `to_stop`: without the journal, whatever that is like."""
     with _journal(to_stop=to_stop) as journal, Interruption() as interruption:
         yield Desk(journal, interruption, screen.say, screen.confirm, trace)
 
 
 def _journal(*, to_stop: bool) -> Journal:
-    if not to_stop:
-        return Journal(home())
-    try:
-        return Journal(home(), reading=True)
-    except JournalError:
-        return Journal(home() / "none", reading=True)
+    return Journal.empty() if to_stop else Journal(home())
 
 
 def is_target(text: str) -> bool:

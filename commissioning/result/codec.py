@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from commissioning.result.document import QUANTITIES, SCHEMA, RunResult
+from commissioning.result.document import LONGEST_TEXT, QUANTITIES, SCHEMA, RunResult
 from profiles.errors import UsageError
 from profiles.plain import plain_tree
 
@@ -53,7 +53,16 @@ def encode(result: RunResult) -> Tree:
 
 def printable(result: RunResult) -> RunResult:
     """The same with texts that act on no screen, printer or browser."""
-    return decode(plain_tree(encode(result)), f"run {result.run}")[0]
+    return decode(_short(plain_tree(encode(result))), f"run {result.run}")[0]
+
+
+def _short(tree: Any) -> Any:
+    """A tree whose texts, longer by their escapes, are texts of ours still."""
+    if isinstance(tree, dict):
+        return {key: _short(item) for key, item in tree.items()}
+    if isinstance(tree, list):
+        return [_short(item) for item in tree]
+    return tree[:LONGEST_TEXT] if isinstance(tree, str) else tree
 
 
 def _not_measured(unit: str) -> Tree:
@@ -85,6 +94,8 @@ def decode(tree: Any, origin: str) -> tuple[RunResult, Curves]:
         return _adapter().validate_json(json.dumps(tree)), curves
     except ValidationError as error:
         raise UsageError(f"{origin}: is damaged: {first_error(error)}") from None
+    except LookupError as error:
+        raise UsageError(f"{origin}: is damaged: it lacks {error}") from None
     except _WRONG as error:
         raise UsageError(f"{origin}: is damaged ({type(error).__name__}: {error})") from None
 

@@ -69,7 +69,8 @@ Positive = Annotated[float, Field(gt=0, le=1e300)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=0, lt=1 << 31)]
 Raw = Annotated[int, Field(gt=-(1 << 63), lt=1 << 63)]
-Text = Annotated[str, Field(max_length=10_000)]
+LONGEST_TEXT = 10_000  # characters
+Text = Annotated[str, Field(max_length=LONGEST_TEXT)]
 Pair = tuple[Finite, Finite]
 
 Loop = Literal["host", "drive"]
@@ -379,7 +380,7 @@ class SteadyReading:
 
 @dataclass(frozen=True, slots=True)
 class Methods:
-    """What was run, each with its own reading."""
+    """What was run, each with its own reading; of a measurement that was repeated, of the last repeat."""
 
     two_relay: TwoRelayReading | None = None
     two_relay_delay: TwoRelayReading | None = None
@@ -689,6 +690,7 @@ class AxisState(StrEnum):
     AT_REST = "at rest and off"
     HELD = "held by its brake"
     NOT_MOVED = "not moved"
+    ENABLED = "ENABLED"  # by somebody else, or by a job that died
     NOT_RECORDED = "not recorded"  # by versions before 0.2
     NOT_VERIFIED = "NOT VERIFIED"
 
@@ -707,6 +709,7 @@ class CompensationState(StrEnum):
     AS_FOUND = "as it was found"
     OF_RUN = "of this run"
     PARTLY = "partly of this run"
+    OF_LATER = "of a later run"
     NOT_KNOWN = "not known"
 
 
@@ -716,7 +719,7 @@ class DriveState:
 
     Attributes
     ----------
-    stored : it is in the non-volatile memory, too; None: not known
+    stored : it is in the non-volatile memory, too; None: not known, or nothing was stored
     """
 
     compensation: CompensationState = CompensationState.AS_FOUND
@@ -729,12 +732,13 @@ class Ending:
 
     Attributes
     ----------
+    settings, drive : by the journal of the run; None where none was begun
     said_by : who ended it; None: it came to its end
     """
 
     axis: AxisState
-    settings: SettingsState = field(default_factory=SettingsState)
-    drive: DriveState = field(default_factory=DriveState)
+    settings: SettingsState | None = None
+    drive: DriveState | None = None
     said_by: Text | None = None
 
 

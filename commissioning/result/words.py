@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import floor, log10
 
 from commissioning.result.document import (
@@ -9,10 +10,10 @@ from commissioning.result.document import (
     Change,
     CompensationState,
     DriveState,
-    Ending,
     GainSet,
     Host,
     RunResult,
+    SettingsState,
     Units,
     Verification,
 )
@@ -145,7 +146,7 @@ def helps(found: Verification) -> str:
     """What a proof says."""
     kept = found.kept
     if kept is None or found.percent is None:
-        return "verified: the compensation does not help here; the old values are back in the drive"
+        return "verified: the compensation did not help; the old values were put back"
     return (
         f"verified: {found.percent:.0f} % less error after reversals with {100 * kept.fraction:g} % of the "
         "friction compensated"
@@ -158,52 +159,75 @@ _AXIS = {
     AxisState.AT_REST: "axis at rest and off",
     AxisState.HELD: "axis off and held by its brake",
     AxisState.NOT_MOVED: "axis not moved",
+    AxisState.ENABLED: "the drive is ENABLED, by somebody else or by a job that died",
     AxisState.NOT_RECORDED: "how its axis was left was not recorded by that version",
     AxisState.NOT_VERIFIED: "it is NOT VERIFIED that the axis is at rest: use the emergency stop",
 }
 _NAMES_SHOWN = 4
-_STORED = {
-    True: "stored",
-    False: "in its RAM only, lost at power-off",
-    None: "not known to be stored",
-}
 
 
 def act_ended(result: RunResult) -> str:
-    """The line of truth of an act: axis, experiment's settings, compensation in the drive, who ended it."""
+    """The line of truth of an act: axis, experiment's settings, compensation in the drive, who ended it.
+
+    What no act has just looked at is said to be the journal's word.
+    """
     ending = result.ending
     if ending is None:
         return (
-            "cut off: nothing is known of its end; 'tworelay stop' and 'tworelay restore' finish it"
+            "under way, or cut off: nothing is known of its end; 'tworelay stop' and 'tworelay restore' "
+            "finish it"
         )
-    parts = [_AXIS[ending.axis]]
-    if result.run is not None:
-        parts += [_settings(ending, result.run), _drive(ending.drive, result)]
+    known = []
+    if ending.settings is not None and result.run is not None:
+        known.append(_settings(ending.settings, result.run))
+    if ending.drive is not None:
+        known.append(_drive(ending.drive, result))
+    asked = ending.axis in (AxisState.AT_REST, AxisState.HELD)
+    source = "" if asked or not known else "by the journal, "
+    parts = [_AXIS[ending.axis], source + "; ".join(known)] if known else [_AXIS[ending.axis]]
     if ending.said_by is not None:
         parts.append(f"ended by {ending.said_by}")
     return "; ".join(parts)
 
 
-def _settings(ending: Ending, run: str) -> str:
-    names = ending.settings.names
+def _settings(state: SettingsState, run: str) -> str:
+    names = state.names
     if not names:
         return "settings put back"
+    return f"settings NOT put back: {_some(names)} ('tworelay restore {run}' tries again)"
+
+
+def _some(names: Sequence[str]) -> str:
     more = f" and {len(names) - _NAMES_SHOWN} more" if names[_NAMES_SHOWN:] else ""
-    return (
-        f"settings NOT put back: {', '.join(names[:_NAMES_SHOWN])}{more} ('tworelay restore {run}' tries "
-        "again)"
-    )
+    return ", ".join(names[:_NAMES_SHOWN]) + more
 
 
 def _drive(state: DriveState, result: RunResult) -> str:
-    compensation = state.compensation
-    gains = [one.parameter for one in result.written if one.kind == "gain"]
-    also = f", with gains of this run ({', '.join(gains)})" if gains else ""
-    if compensation is CompensationState.AS_FOUND:
-        return f"the drive's compensation is as it was found{also}"
-    if compensation is CompensationState.NOT_KNOWN:
-        return (
-            f"it is NOT KNOWN what compensation the drive has{also} ('tworelay restore {result.run}' puts "
-            "the old values back)"
-        )
-    return f"the drive's compensation is {compensation}, {_STORED[state.stored]}{also}"
+    way = f"('tworelay restore {result.run}' puts the old values back)"
+    if state.compensation is CompensationState.NOT_KNOWN:
+        return f"it is NOT KNOWN what compensation the drive has {way}" + _gains(result)
+    if state.compensation is CompensationState.OF_LATER:
+        return "the drive's compensation is of a later run"
+    if state.compensation is CompensationState.AS_FOUND:
+        memory = "" if state.stored is None else f", in its RAM only: its memory has others {way}"
+        return f"the drive's compensation is as it was found{memory}" + _gains(result)
+    what = "of this run"
+    if state.compensation is CompensationState.PARTLY:
+        values = [f"{w.parameter} = {w.raw}" for w in result.written if w.kind == "compensation"]
+        what = f"what this run left on its way ({_some(values)}, raw)"
+    stored = {
+        True: "stored",
+        False: "in its RAM only, lost at power-off",
+        None: "not known to be stored",
+    }
+    return f"the drive's compensation is {what}, {stored[state.stored]}" + _gains(result)
+
+
+def _gains(result: RunResult) -> str:
+    """Gains of the drive's own loops that the run has left there."""
+    gains = [one for one in result.written if one.kind == "gain"]
+    sure = [one.parameter for one in gains if one.certain]
+    unsure = [one.parameter for one in gains if not one.certain]
+    return (f", with gains of this run ({_some(sure)})" if sure else "") + (
+        f", and NOT KNOWN gains ({_some(unsure)})" if unsure else ""
+    )

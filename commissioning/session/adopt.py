@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from commissioning.records import History, Intent
@@ -103,7 +103,7 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
         record.axis,
         "it was not taken in",
     )
-    target.save(result, samples, source_text(name))
+    target.save(replace(result, written=()), samples, source_text(name))
     return desk.journal.adopt(history)
 
 

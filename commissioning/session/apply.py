@@ -11,19 +11,19 @@ from typing import Literal
 
 from commissioning.journal import RESTORED, STORED, STORING, Journal, Kind, RunRecord
 from commissioning.ownership import note_stop
-from commissioning.records import History, Intent
+from commissioning.records import History, Intent, has_stored
 from commissioning.result.document import AxisState, Change, GainSet, RunResult, Written
 from commissioning.runs import RunFolder, resolve
 from commissioning.session.desk import Desk, connect, none_unfinished, same_drive
-from commissioning.session.ending import axis_state, close_act, ended
+from commissioning.session.ending import axis_state, close_act, cut_off, ended, erring
 from commissioning.settings import Restored, Return, Settings, planned, put_back, settle
 from drivers.drive import Drive, StopReport
 from drivers.link import check_files_of_others
 from profiles.axis import Axis
 from profiles.errors import (
+    DriveEnabled,
     DriveFault,
     LinkError,
-    PreflightRefused,
     Refused,
     TwoRelayError,
     UnknownName,
@@ -43,7 +43,6 @@ __all__ = [
     "stop",
     "store",
     "to_restore",
-    "unfinished",
     "unverified",
 ]
 
@@ -117,44 +116,42 @@ def apply(
                     f"run {run_id}: its gains are not those that the profile maps; tune it again"
                 )
         if drive.is_energised():
-            raise PreflightRefused(
+            raise DriveEnabled(
                 "the drive is enabled: its compensation is not changed while it controls the axis; "
                 "disable it first"
             )
         present = tuple(_present(change, drive) for change in proposal)
         show(present)
         stores, then = _storing(drive.profile, prove_first=prove_first)
-        stored = not stores or desk.journal.memory(run_id) == STORED
+        goal = {change.parameter: change.new_raw for change in present}
+        stored = not stores or has_stored(history, goal)
         names = [change.parameter for change in present]
         unverified(drive.profile, names, constant_known=axis.torque_constant is not None)
         if drive.profile.compensation.note:
             desk.tell(drive.profile.compensation.note)
-        if any(change.old_raw != change.new_raw for change in present) or not stored:
+        writes = any(change.old_raw != change.new_raw for change in present) or not stored
+        if writes:
             desk.agree(f"These values will be WRITTEN to axis '{axis.name}' {then}.", axis.name)
-            # whoever wants a proof puts them back
-            advising = contextlib.nullcontext() if prove_first else _advising(run_id)
+        else:
+            desk.tell("the drive has these values already")
+        # whoever wants a proof puts them back
+        advising = contextlib.nullcontext() if prove_first else _advising(run_id)
+        with desk.finishing():
             try:
-                with desk.interruption.deferred(), advising:
-                    _write(
-                        drive,
-                        desk,
-                        run_id,
-                        present,
-                        frozenset(c.parameter for c in gained),
-                        stores=stores,
-                    )
+                if writes:
+                    folder.save(cut_off(result))
+                    of_loops = frozenset(change.parameter for change in gained)
+                    with advising:
+                        _write(drive, desk, run_id, present, of_loops, stores=stores)
             except TwoRelayError as error:
                 close_act(desk, folder, result, axis_state(drive, axis), error)
                 raise
-        else:
-            desk.tell("the drive has these values already")
-        changed = [change for change in result.compensation if change.old_raw != change.new_raw]
-        there = [_written(change, "compensation") for change in changed]
-        there += [_written(change, "gain") for change in gained]
-        others = [one for one in result.written if one.parameter not in names]
-        result = replace(result, status="completed", error=None, written=(*others, *there))
-        result = close_act(desk, folder, result, axis_state(drive, axis))
-        desk.interruption.check()
+            changed = [c for c in result.compensation if c.old_raw != c.new_raw]
+            there = [_written(change, "compensation") for change in changed]
+            there += [_written(change, "gain") for change in gained]
+            others = [one for one in result.written if one.parameter not in names]
+            result = replace(result, status="completed", error=None, written=(*others, *there))
+            result = close_act(desk, folder, result, axis_state(drive, axis))
     return result
 
 
@@ -288,7 +285,7 @@ def store(
     except TwoRelayError as error:
         error.args = (f"{error}; not known to be stored: {', '.join(wanted)}",)
         raise
-    desk.journal.note(run_id, text)
+    desk.journal.note_stored(run_id, text)
     for name, raw in wanted.items():
         there = drive.read_raw(name)
         if there != raw:
@@ -367,13 +364,13 @@ def restore(
                 "as the run had stored others.",
                 record.axis,
             )
-        try:
-            with desk.interruption.deferred():
+        with desk.finishing():
+            try:
                 outcome = _put_all_back(drive, desk, run_id, force=force)
-        except TwoRelayError as error:
-            _note_return(desk, folder, history, axis_state(drive, axis), error)
-            raise
-        _note_return(desk, folder, history, axis_state(drive, axis))
+            except TwoRelayError as error:
+                _note_return(desk, folder, history, axis_state(drive, axis), error)
+                raise
+            _note_return(desk, folder, history, axis_state(drive, axis))
         return outcome
 
 
@@ -384,12 +381,15 @@ def _note_return(
     axis: AxisState,
     error: TwoRelayError | None = None,
 ) -> None:
-    """Write into the run what is in the drive after a restore; a run killed early has no file for it."""
+    """Write into the run what is in the drive after a restore; one whose file is gone stays without."""
     with contextlib.suppress(UsageError):
         result = folder.result(before)
         if error is None and any(intent.lasts for intent in before.intents):
             result = replace(result, written=())
-        said_by = None if error is None else error.said_by or None
+        said_by = None
+        if error is not None:
+            error.noted, said_by = True, error.said_by or None
+            result = replace(erring(result, error), status=result.status)
         folder.save(ended(result, desk.journal.history(before.run.id), axis, said_by))
 
 
@@ -397,7 +397,7 @@ def _check_not_enabled(drive: Drive, desk: Desk, run_id: str) -> None:
     """Raises PreflightRefused: nothing is put back in a drive that controls its axis."""
     if drive.is_energised():
         profile = RunFolder.of(desk.journal, run_id).profile_path()
-        raise PreflightRefused(
+        raise DriveEnabled(
             f'the drive is enabled: \'tworelay stop "{drive.link}" --profile "{profile}"\' makes it safe, '
             f"then 'tworelay restore {run_id}'"
         )
@@ -413,8 +413,8 @@ def _put_all_back(drive: Drive, desk: Desk, run_id: str, *, force: bool) -> Rest
     lasting = [intent for intent in intents if intent.kind != "experiment"]
     # until they are all back, and stored where the run has stored, those for good stay open
     settle(desk.journal, [i for i in intents if i.kind == "experiment"], outcome)
+    _note_back(desk, run_id, lasting, outcome)
     if not outcome.complete:
-        _note_back(desk, run_id, lasting, outcome)
         unstored = "; nothing was stored" if lasting else ""
         raise _Incomplete(
             f"restore of run {run_id} is incomplete: {outcome}{unstored}; the run stays open, and "
@@ -428,20 +428,23 @@ def _put_all_back(drive: Drive, desk: Desk, run_id: str, *, force: bool) -> Rest
         except TwoRelayError as error:
             error.args = (f"{error}; 'tworelay restore {run_id}' tries again",)
             raise
-    settle(desk.journal, lasting, outcome)
+    of_run = desk.journal.intents(run_id, open_only=True)
+    settle(desk.journal, [i for i in of_run if i.lasts], outcome)
     if outcome.failed:  # to say so in the journal
         raise WriteFailed(f"restore of run {run_id} is incomplete: {outcome}")
     return outcome
 
 
 def _note_back(desk: Desk, run_id: str, lasting: list[Intent], outcome: Restored) -> None:
-    """Of a restore that is not complete: what has its old value, though its intents stay open."""
+    """Of those for good, which stay open until all is done: what has its old value, and what nobody knows."""
     for name in (*outcome.restored, *outcome.already):
         of_it = [intent for intent in lasting if intent.parameter == name]
         if of_it and of_it[-1].new != of_it[0].old:
             first, last = of_it[0], of_it[-1]
             back = desk.journal.intend(run_id, last.kind, name, last.new, first.old)
             desk.journal.settle([back], "verified")
+    unknown = {i.parameter: i.seq for i in lasting if i.parameter in outcome.skipped}
+    desk.journal.settle(list(unknown.values()), "intended")
 
 
 _OURS = STORED, STORING  # what may be in a non-volatile memory
@@ -455,30 +458,34 @@ class _Incomplete(WriteFailed):
         self.left = left
 
 
-def leave_as_found(run: str, desk: Desk) -> str:
+def leave_as_found(run: str, desk: Desk) -> tuple[str, AxisState | None]:
     """Put back all that `run` changed, after it came to nothing; never raises.
 
-    Returns what it reached; '' where nothing had been changed.
+    Returns what it reached, '' where nothing had been changed; and what the drive said of its axis then.
     """
     intents = desk.journal.intents(run, open_only=True)
     if not intents:
-        return ""
+        return "", None
     record, folder = desk.journal.run(run), RunFolder.of(desk.journal, run)
+    state: AxisState | None = None
     try:
         axis = axis_of_run(record, folder, None)
         with connect(axis, None, desk, f"run {run}", lenient=True) as drive:
             found = drive.identity()
             if found.serial != record.serial:
                 raise LinkError(f"another drive is on the link, with serial {found.serial}")
+            state = axis_state(drive, axis)
             outcome = _put_all_back(drive, desk, run, force=False)
     except TwoRelayError as error:
-        left = tuple(dict.fromkeys(i.parameter for i in intents))
-        if isinstance(error, _Incomplete):
-            left = error.left
+        history = desk.journal.history(run)
+        left = [i.parameter for i in history.intents if i.is_open and not i.lasts]
+        left += [i.parameter for i in history.intents if i.lasts and history.in_ram(i.parameter)]
         why = "the drive cannot be reached" if isinstance(error, LinkError) else str(error)
         way = f"'tworelay restore {run}' puts the old values back"
-        return f"NOT put back: {', '.join(left)} ({why}); {way}"
-    return f"the drive is as it was found ({outcome})"
+        if not left:
+            return f"the old values are in the drive's RAM, and NOT stored ({why}); {way}", state
+        return f"NOT put back: {', '.join(dict.fromkeys(left))} ({why}); {way}", state
+    return f"the drive is as it was found ({outcome})", state
 
 
 def _resolve_any(desk: Desk, run: str) -> tuple[str, RunFolder]:
@@ -509,19 +516,13 @@ def stop(axis: Axis, desk: Desk) -> StopReport:
     return report
 
 
-def unfinished(axis: Axis, desk: Desk) -> list[str]:
-    """Runs of this computer on the link of `axis` whose settings are not back, as far as is known."""
-    with contextlib.suppress(TwoRelayError):  # a stop is done, whatever the journal is like
-        return desk.journal.unfinished_on(axis.link or "")
-    return []
-
-
 def _tell_what_is_left(drive: Drive, desk: Desk) -> None:
     """Registers that the machine uses, too, and that the stop path had to write."""
-    parameters = drive.profile.parameters
+    parameters, last = drive.profile.parameters, {}
     for step in (*drive.profile.stop, *drive.profile.disable):
         if step.write and parameters[step.write].protection is Protection.EXPERIMENT:
-            desk.tell(
-                f"{step.write} ({parameters[step.write].address}) is left at {step.raw}: set it as the "
-                "machine needs it"
-            )
+            last[step.write] = step.raw
+    for name, raw in last.items():
+        desk.tell(
+            f"{name} ({parameters[name].address}) is left at {raw}: set it as the machine needs it"
+        )

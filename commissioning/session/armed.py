@@ -12,7 +12,15 @@ from commissioning.runner import Recorder
 from commissioning.runs import RunFolder, Samples
 from commissioning.session import preflight
 from commissioning.session.desk import Desk, Options, begin_run, connect, none_unfinished
-from commissioning.session.ending import axis_state, begun, ended, erring, failed, on_drive
+from commissioning.session.ending import (
+    axis_state,
+    begun,
+    ended,
+    erring,
+    failed,
+    on_drive,
+    untouched,
+)
 from commissioning.session.found import Rejected, experiment
 from commissioning.session.measurement import Measurement
 from commissioning.session.preflight import check_watchdog, choose_limits, look, writes
@@ -59,9 +67,11 @@ def in_a_run(axis: Axis, options: Options, desk: Desk, work: Work) -> RunResult:
     except TwoRelayError as error:
         result = draft.result
         if result.ending is None:  # before anything was moved or written
-            result = ended(failed(result, error), None, AxisState.NOT_MOVED, error.said_by or None)
-        elif result.status == "completed":  # and then the link was closed
+            result = ended(failed(result, error), None, untouched(error), error.said_by or None)
+        elif result.status == "completed":  # and then the link was closed, or a signal came
             result = erring(result, error)
+            if result.run is not None:
+                RunFolder.of(desk.journal, result.run).save(result)
         raise Failure(error, result) from error
     return draft.result
 
@@ -132,8 +142,10 @@ def _begun(
             history = desk.journal.history(run_id)
             result = ended(result, history, axis_state(drive, axis), said_by)
             draft.result = result
-            desk.journal.finish(run_id, result.status)
-            folder.save(result, Samples.of(recorder))
+            try:
+                folder.save(result, Samples.of(recorder))
+            finally:
+                desk.journal.finish(run_id, result.status)
 
 
 def noted(guardian: Guardian) -> list[str]:

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 
-from commissioning.result.document import AxisState, Change, RunResult
+from commissioning.result.document import AxisState, Change, Error, RunResult
 from commissioning.runs import RunFolder
 from commissioning.session.apply import apply, leave_as_found
 from commissioning.session.desk import Desk
@@ -36,27 +36,41 @@ def prove_and_store(run: str, desk: Desk, show: Show, *, without_watchdog: bool)
         provable(load_profile(str(folder.profile_path()), lenient=True))
     except PreflightRefused as error:
         error.args = (f"{error}. Nothing was written; 'tworelay apply {run}' writes it unproved",)
+        _close(run, desk, folder, error, (f"not proved: {error}",), None)
         raise
     try:
         apply(run, None, desk, show, prove_first=True)
         return verify(run, None, desk, Wishes(without_watchdog=without_watchdog), unproved=True)
     except BaseException as error:
+        if isinstance(error, Interrupted) and error.noted and _is_proved(run, desk):
+            raise  # it came after the last act
         with contextlib.suppress(Interrupted), desk.interruption.deferred():
-            became = leave_as_found(run, desk)
+            became, axis = leave_as_found(run, desk)
             notes = tuple(text for text in (f"not proved: {error}", became) if text)
             if became and isinstance(error, TwoRelayError):
                 error.args = (f"{error}; {became}",)
             try:
-                _close(run, desk, folder, error, notes)
+                _close(run, desk, folder, error, notes, axis)
             except TwoRelayError as second:  # a full disk; the drive is as it is said to be
                 error.args = (f"{error}; {second}",)
         raise
 
 
+def _is_proved(run: str, desk: Desk) -> bool:
+    """Whether the last act was done to its end: the proof, and the one store."""
+    result = RunFolder.of(desk.journal, run).result()
+    return result.verification is not None and result.verification.kept is not None
+
+
 def _close(
-    run: str, desk: Desk, folder: RunFolder, error: BaseException, notes: tuple[str, ...]
+    run: str,
+    desk: Desk,
+    folder: RunFolder,
+    error: BaseException,
+    notes: tuple[str, ...],
+    axis: AxisState | None,
 ) -> None:
-    """What the run keeps of a proof that was not reached."""
+    """What the run keeps of a proof that was not reached; `axis`: as the drive said it afterwards."""
     history = desk.journal.history(run)
     result = folder.result(history)
     result = replace(result, notes=result.notes + notes)
@@ -64,5 +78,8 @@ def _close(
     if isinstance(error, TwoRelayError):
         result, said_by = erring(result, error), error.said_by or None
         error.noted = True
-    axis = result.ending.axis if result.ending else AxisState.NOT_VERIFIED
-    folder.save(ended(result, history, axis, said_by))
+    else:
+        text = f"internal error ({type(error).__name__}: {error})"
+        result = replace(result, status="failed", error=Error("internal", text))
+    before = result.ending.axis if result.ending else AxisState.NOT_VERIFIED
+    folder.save(ended(result, history, axis or before, said_by))

@@ -15,8 +15,9 @@ from commissioning.records import Context
 from drivers.drive import Drive
 from drivers.link import open_drive
 from drivers.link_text import is_simulated
+from drivers.places import same_place
 from profiles.axis import Axis
-from profiles.errors import IdentityMismatch, Refused
+from profiles.errors import IdentityMismatch, Interrupted, Refused
 from profiles.identity import Identity
 from profiles.library import digest
 
@@ -58,6 +59,18 @@ class Desk:
     confirm: Callable[[str, str], bool]
     trace: Callable[..., None] | None = None
 
+    @contextlib.contextmanager
+    def finishing(self) -> Generator[None]:
+        """What is begun is done, and noted, before a signal ends it; one that comes late undoes nothing."""
+        done = False
+        try:
+            with self.interruption.deferred():
+                yield
+                done = True
+        except Interrupted as late:
+            late.noted = late.noted or done
+            raise
+
     def agree(self, question: str, word: str, undone: str = "nothing was written") -> None:
         """Ask; raises Refused when the answer is no. `undone`: what has not happened then."""
         if not self.confirm(question, word):
@@ -83,7 +96,7 @@ def none_unfinished(desk: Desk, serial: str, link: str) -> None:
 
     A drive that tells no serial number is the one on `link`.
     """
-    for run in desk.journal.unfinished(serial, link):
+    for run in desk.journal.unfinished(serial, lambda other: same_place(link, other)):
         context = desk.journal.run(run).context
         if context.pid != os.getpid() and is_alive(context.pid, context.started):
             raise Refused(f"run {run} is still in progress on this drive (process {context.pid})")

@@ -27,7 +27,7 @@ from commissioning.runs import Array, RunFolder, drive_state, left_in_drive, res
 from commissioning.session.desk import Desk
 from drivers.drive import Drive
 from profiles.axis import Axis
-from profiles.errors import TwoRelayError, UsageError
+from profiles.errors import DriveEnabled, TwoRelayError, UsageError
 from profiles.identity import Identity
 from profiles.library import digest
 from profiles.schema import Profile
@@ -36,6 +36,7 @@ __all__ = [
     "axis_state",
     "begun",
     "close_act",
+    "cut_off",
     "ended",
     "erring",
     "failed",
@@ -43,6 +44,7 @@ __all__ = [
     "of_run",
     "on_drive",
     "stopped_state",
+    "untouched",
 ]
 
 
@@ -131,6 +133,11 @@ def erring(result: RunResult, error: TwoRelayError) -> RunResult:
     return replace(result, status=error.status, error=said)
 
 
+def cut_off(result: RunResult) -> RunResult:
+    """The run as it is to be found where the act that begins now is never ended."""
+    return replace(result, status="failed", error=None, ending=None)
+
+
 def close_act(
     desk: Desk,
     folder: RunFolder,
@@ -151,20 +158,32 @@ def close_act(
     return result
 
 
-def of_run(desk: Desk, run: str) -> RunResult | None:
-    """The result of a run with what its journal says now; None where it was killed before it wrote any."""
+def of_run(desk: Desk, run: str) -> RunResult:
+    """The result of a run with what its journal says now; where its file is no more, that alone."""
     history = desk.journal.history(run)
     try:
         return RunFolder.of(desk.journal, run).result(history)
     except UsageError:
-        return None
+        record = history.run
+        bare = RunResult(SCHEMA, "failed", record.axis, Units(), run=run, link=record.link)
+        return ended(bare, history, AxisState.NOT_MOVED)
+
+
+def untouched(error: TwoRelayError, before: Ending | None = None) -> AxisState:
+    """What is known of an axis when an act ends before it has done anything."""
+    if isinstance(error, DriveEnabled):
+        return AxisState.ENABLED
+    if before is not None and before.axis is AxisState.NOT_VERIFIED:
+        return AxisState.NOT_VERIFIED  # nobody has looked since
+    return AxisState.NOT_MOVED
 
 
 def of_failed(desk: Desk, run: str, error: TwoRelayError) -> RunResult:
     """The result of a run that an act on it ended early: as the act left it, or as it was before."""
     run_id, folder = resolve(desk.journal, run)
     history = folder.history(desk.journal, run_id)
-    result = folder.result(history)
+    result = folder.result(history) if folder.exported else of_run(desk, run_id)
     if error.noted:
         return result
-    return ended(erring(result, error), history, AxisState.NOT_MOVED, error.said_by or None)
+    axis = untouched(error, result.ending or Ending(AxisState.NOT_VERIFIED))
+    return ended(erring(result, error), history, axis, error.said_by or None)

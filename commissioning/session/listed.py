@@ -52,7 +52,8 @@ def _listed(journal: Journal, record: RunRecord) -> Listed:
         verdict = _verdict(result, record)
     except UsageError:
         gone = any(event.text == "files deleted" for event in history.events)
-        verdict = "files deleted" if gone else "files missing"
+        there = (journal.folder / "runs" / record.id / "run.json").exists()
+        verdict = "files damaged" if there else "files deleted" if gone else "files missing"
     return Listed(
         record.id, record.axis, record.created, verdict, result.coulomb if result else None,
         _in_drive(result, history), record.adopted,
@@ -60,17 +61,17 @@ def _listed(journal: Journal, record: RunRecord) -> Listed:
 
 
 def _verdict(result: RunResult, record: RunRecord) -> str:
-    if result.ending is None and record.status == "running":
-        alive = is_alive(record.context.pid, record.context.started)
-        return "in progress" if alive and not record.adopted else "cut off"
-    if result.quality.verdict is None:
-        return result.status if result.status != "completed" else VERDICTS[None]
-    proved = result.verification
-    if proved is not None and proved.kept is None:
-        return f"{VERDICTS[result.quality.verdict]}, does not help"
-    if result.status != "completed" and result.measured:
-        return f"{VERDICTS[result.quality.verdict]}, then {result.status}"
-    return VERDICTS[result.quality.verdict]
+    verdict, proved = VERDICTS[result.quality.verdict], result.verification
+    if result.ending is None:
+        alive = is_alive(record.context.pid, record.context.started) and not record.adopted
+        now = "in progress" if record.status == "running" and alive else "cut off"
+        return f"{verdict}, then {now}" if result.measured else now
+    if not result.measured:
+        return result.status if result.status != "completed" else verdict
+    if result.status != "completed":
+        useless = proved is not None and proved.kept is None
+        return f"{verdict}, does not help" if useless else f"{verdict}, then {result.status}"
+    return verdict
 
 
 _MEMORY = {True: ", stored", False: ", not stored", None: ", not known to be stored"}
@@ -80,13 +81,17 @@ def _in_drive(result: RunResult | None, history: History) -> str:
     """What the run has left there, in a few words."""
     left = [intent for intent in history.intents if intent.is_open]
     if any(not intent.lasts for intent in left):
-        return "settings not put back"
+        also = ", values of this run" if any(intent.lasts for intent in left) else ""
+        return f"settings not put back{also}"
     if result is None:
         return "values of this run" if left else "as found"
     state = drive_state(result, history)
+    if state.compensation is CompensationState.OF_LATER:
+        return "a later run's"
     if state.compensation is CompensationState.AS_FOUND:
         gains = any(one.kind == "gain" for one in result.written)
-        return "gains of this run" if gains else "as found"
+        memory = "" if state.stored is None else ", not stored"
+        return "gains of this run" if gains else f"as found{memory}"
     if state.compensation is CompensationState.NOT_KNOWN:
         return "not known"
     whole = state.compensation is CompensationState.OF_RUN

@@ -12,7 +12,7 @@ from commissioning.session.desk import Options
 from commissioning.settings import Settings
 from drivers.drive import SET, Drive
 from profiles.axis import Axis
-from profiles.errors import DriveFault, PreflightRefused, UsageError, WriteDenied
+from profiles.errors import DriveEnabled, DriveFault, PreflightRefused, UsageError, WriteDenied
 from profiles.procedures import Mode
 
 __all__ = [
@@ -68,7 +68,7 @@ def look(drive: Drive, axis: Axis) -> None:
             "try again"
         )
     if drive.is_energised():
-        raise PreflightRefused(
+        raise DriveEnabled(
             "the drive is already enabled, so somebody else controls it (or a dead process left "
             "it so: 'tworelay stop' makes it safe)"
         )

@@ -11,12 +11,13 @@ from commissioning.experiments.tracking import TURNS, TrackingPath, TrackingSamp
 from commissioning.guardian import guarded
 from commissioning.identification.tracking import TrackingError, at_rest, creeping, reversal_error
 from commissioning.journal import RESTORED, STORED, STORING, RunRecord
+from commissioning.records import has_stored
 from commissioning.result.document import RunResult, Trial, Verification, Written
 from commissioning.runner import Recorder
 from commissioning.session.apply import axis_of_run, own_run, store, unverified
 from commissioning.session.armed import noted
 from commissioning.session.desk import Desk, Options, connect, none_unfinished, same_drive
-from commissioning.session.ending import axis_state, close_act
+from commissioning.session.ending import axis_state, close_act, cut_off
 from commissioning.session.measurement import Measurement
 from commissioning.session.preflight import check_watchdog, choose_limits, look
 from commissioning.settings import Settings
@@ -90,24 +91,29 @@ def verify(
         settings = Settings(desk.journal, run_id, drive)
         room = choose_limits(drive, axis, options)
         notes: list[str] = []
-        try:
-            with guarded(
-                drive, axis, folder.profile_path(), run_id, desk.journal.folder
-            ) as guardian:
-                recorder = Recorder(on_phase=desk.tell)
-                job = Measurement(axis, options, desk, drive, room, recorder, settings, guardian)
-                try:
-                    steps, kept = _with_steps(job, result, unproved=unproved)
-                finally:
-                    notes += noted(guardian)
-        except TwoRelayError as error:
+        with desk.finishing():
+            folder.save(cut_off(result))
+            try:
+                with guarded(
+                    drive, axis, folder.profile_path(), run_id, desk.journal.folder
+                ) as guardian:
+                    recorder = Recorder(on_phase=desk.tell)
+                    job = Measurement(
+                        axis, options, desk, drive, room, recorder, settings, guardian
+                    )
+                    try:
+                        steps, kept = _with_steps(job, result, unproved=unproved)
+                    finally:
+                        notes += noted(guardian)
+            except TwoRelayError as error:
+                result = replace(result, notes=(*result.notes, *notes))
+                close_act(desk, folder, result, axis_state(drive, axis), error)
+                raise
             result = replace(result, notes=(*result.notes, *notes))
-            close_act(desk, folder, result, axis_state(drive, axis), error)
-            raise
-        result = _proved(replace(result, notes=(*result.notes, *notes)), drive, steps, kept)
-        useless = None if kept else _no_help(result, steps)
-        curves = {f"verify.{number}": step.trace for number, step in enumerate(steps)}
-        result = close_act(desk, folder, result, axis_state(drive, axis), useless, curves)
+            result = _proved(result, drive, steps, kept)
+            useless = None if kept else _no_help(result, steps)
+            curves = {f"verify.{number}": step.trace for number, step in enumerate(steps)}
+            result = close_act(desk, folder, result, axis_state(drive, axis), useless, curves)
     if useless is not None:
         raise useless
     return result
@@ -126,14 +132,14 @@ def _proved(result: RunResult, drive: Drive, steps: list[_Step], kept: _Step | N
     if kept is None:
         return replace(result, written=())
     parameters = drive.profile.parameters
-    stays = tuple(
-        replace(
-            change,
-            new_raw=kept.raw[change.parameter],
-            new=drive.scaling.to_si(parameters[change.parameter], kept.raw[change.parameter]),
-        )
-        for change in result.compensation
-    )
+    stays = []
+    for change in result.compensation:
+        raw = kept.raw[change.parameter]
+        if raw != change.new_raw:
+            value = drive.scaling.to_si(parameters[change.parameter], raw)
+            why = f"{100 * kept.fraction:g} % of the friction: the most that helped"
+            change = replace(change, new_raw=raw, new=value, rounded_by=0.0, why=why)  # noqa: PLW2901
+        stays.append(change)
     written = (
         Written(c.parameter, "compensation", c.new_raw, c.new, c.unit)
         for c in stays
@@ -141,7 +147,11 @@ def _proved(result: RunResult, drive: Drive, steps: list[_Step], kept: _Step | N
     )
     others = (one for one in result.written if one.kind == "gain")
     return replace(
-        result, compensation=stays, written=(*others, *written), status="completed", error=None
+        result,
+        compensation=tuple(stays),
+        written=(*others, *written),
+        status="completed",
+        error=None,
     )
 
 
@@ -162,6 +172,9 @@ def _no_help(result: RunResult, steps: list[_Step]) -> DoesNotHelp:
 
 
 def _check(result: RunResult, run_id: str) -> None:
+    coulomb = result.friction.coulomb
+    if result.measured and coulomb is not None and not coulomb.value > 0:
+        raise Refused(f"run {run_id} cannot be verified: its friction is {coulomb.value:.3g}")
     if not result.measured or not result.compensation:
         reason = (
             "it proposes no compensation" if result.measured else f"its status is '{result.status}'"
@@ -228,13 +241,14 @@ def _with_steps(
     was, had = {name: drive.read_raw(name) for name in names}, journal.memory(run)
     try:
         steps, kept = job.within_settings(lambda: _raise(job, result))
-        final = _before(result, was) if kept is None else kept.raw
+        final = _before(job, names, was) if kept is None else kept.raw
+        job.desk.interruption.check()  # the last moment at which nothing is decided yet
         # the experiment's settings are back, and are not stored with the rest
         with job.desk.interruption.deferred():
             with job.settings.exclusive_access():
                 _write(job, final)
             memory = journal.memory(run)
-            if kept is not None and (final != was or memory != STORED):
+            if kept is not None and not has_stored(journal.history(run), final):
                 store(drive, job.desk, run, final)
             elif kept is None and memory in (STORED, STORING):
                 others = [
@@ -246,6 +260,8 @@ def _with_steps(
             if kept is None:
                 done = [i.seq for i in journal.intents(run, open_only=True) if i.parameter in final]
                 journal.settle(done, "restored")
+            else:
+                _nothing_to_undo(job, final)
     except BaseException as error:
         if not unproved:
             _go_back(job, was, error)
@@ -257,6 +273,15 @@ def _with_steps(
                 error.args = (text,)
         raise
     return steps, kept
+
+
+def _nothing_to_undo(job: Measurement, final: Raw) -> None:
+    """What the drive had before the run as well needs no way back."""
+    intents = job.desk.journal.intents(job.settings.run, open_only=True)
+    for name, raw in final.items():
+        of_it = [intent for intent in intents if intent.parameter == name]
+        if of_it and of_it[0].old == raw:
+            job.desk.journal.settle([intent.seq for intent in of_it], "restored")
 
 
 def _go_back(job: Measurement, was: Raw, error: BaseException) -> None:
@@ -278,12 +303,12 @@ def _write(job: Measurement, raw: Raw) -> None:
         job.settings.write("compensation", name, value)
 
 
-def _before(result: RunResult, was: Raw) -> Raw:
-    """The values from before the run."""
-    return {
-        c.parameter: was[c.parameter] if c.old_raw is None else c.old_raw
-        for c in result.compensation
-    }
+def _before(job: Measurement, names: list[str], was: Raw) -> Raw:
+    """The values from before the run: the oldest that it has written over, else those that stood there."""
+    oldest: Raw = {}
+    for intent in job.desk.journal.intents(job.settings.run, open_only=True):
+        oldest.setdefault(intent.parameter, intent.old)
+    return {name: oldest.get(name, was[name]) for name in names}
 
 
 def _raise(job: Measurement, result: RunResult) -> tuple[list[_Step], _Step | None]:

@@ -54,6 +54,21 @@ def test_a_csv_with_the_default_header(
     assert "good" in text.stdout
 
 
+def test_a_proposal_for_a_drive_that_is_not_there_keeps_the_analysis(
+    tworelay: Tworelay, tmp_path: Path, rows: list[list[float]]
+) -> None:
+    file, target = written(tmp_path / "axis.csv", HEADER, rows), tmp_path / "run.json"
+    done = tworelay("analyze", file, "--for", "modbus-tcp://127.0.0.1:1", "--json", str(target))
+    assert done.returncode == 4
+    result = json.loads(target.read_text())
+    jsonschema.validate(result, SCHEMA)
+    assert result["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.01)
+    assert (result["status"], result["error"]["code"]) == ("failed", "link")
+    assert result["ending"] == {
+        "axis": "not moved", "settings": None, "drive": None, "said_by": "the link",
+    }  # fmt: skip
+
+
 def test_units_columns_preamble_and_decimal_commas(
     tworelay: Tworelay, tmp_path: Path, rows: list[list[float]]
 ) -> None:

@@ -15,6 +15,7 @@ import pytest
 from markupsafe import escape
 
 from commissioning.journal import RESTORED, STORED, STORING, Journal
+from commissioning.records import UP_TO
 from commissioning.session.measurement import Measurement
 from drivers.home import home
 from drivers.link import axis_of, open_drive
@@ -62,7 +63,7 @@ def stored(tmp_path: Path) -> dict[str, int]:
 
 def events() -> list[str]:
     with Journal(home()) as journal:
-        return [e.text for e in journal.history("last").events]
+        return [e.text for e in journal.history("last").events if not e.text.startswith(UP_TO)]
 
 
 def open_parameters() -> set[str]:

@@ -16,10 +16,14 @@ import pytest
 
 from commissioning.journal import Journal
 from commissioning.runs import RunFolder
+from commissioning.session import verify
+from commissioning.session.measurement import Measurement
 from drivers.home import home
+from drivers.link import axis_of, open_drive
+from drivers.places import same_place
 from drivers.profiled import ProfiledDrive
 from drivers.sample import Sample
-from profiles.errors import LinkLost, WriteDenied
+from profiles.errors import LinkLost, WriteDenied, WriteFailed
 from tests.command import ROOT
 from tests.conftest import Serve, Tworelay
 from tests.interrupting import signalled
@@ -104,8 +108,10 @@ def test_a_job_ends_with_what_is_true(name: str, tworelay: Tworelay, tmp_path: P
     result = json.loads(target.read_text())
     jsonschema.validate(result, SCHEMA)
     assert (result["status"], result["quality"]["verdict"]) == (case.status, case.verdict)
+    begun = result["run"] is not None
     assert result["ending"] == {
-        "axis": case.axis, "settings": BACK, "drive": case.drive, "said_by": case.said_by,
+        "axis": case.axis, "settings": BACK if begun else None, "drive": case.drive if begun else None,
+        "said_by": case.said_by,
     }  # fmt: skip
     line = told(done.stdout)
     assert (case.said_by or "axis") in line
@@ -247,7 +253,11 @@ REPORTED = {
     "immobile": ("rejected", "no motion up to", "no friction was measured"),
     "refused": ("refused", "not measured", "no friction was measured"),
     "limited": ("stopped", "not measured", "no friction was measured"),
-    "interrupted": ("stopped", "not measured", "not recorded by that version; settings put back"),
+    "interrupted": (
+        "stopped",
+        "not measured",
+        "not recorded by that version; by the journal, settings put back",
+    ),
     "lost": ("failed", "not measured", "settings NOT put back: max_torque"),
     "unproved": ("written, read back",),
     "restored": ("proposed",),
@@ -296,3 +306,227 @@ def test_a_proof_that_failed_is_not_shown_as_finished(tworelay: Tworelay) -> Non
     history = tworelay("history").stdout
     assert "good, then stopped" in history
     assert "as found" in history
+
+
+# -- what is in RAM and what is in the memory -------------------------------------------------------
+
+
+@pytest.fixture
+def link(serve: Serve) -> str:
+    return serve("bench", *WIRES["modbus-tcp"], "--clock", "step")[0]
+
+
+BASE = ("--travel", "3", "--cycle", "0.004", "--yes")
+
+
+def in_ram(link: str) -> list[int]:
+    drive = open_drive(axis_of(link))
+    found = [drive.read_raw(name) for name in ("coulomb_positive", "coulomb_negative")]
+    drive.close()
+    return found
+
+
+def in_memory(tmp_path: Path) -> list[int]:
+    tree = json.loads((tmp_path / "drive-0.json").read_text())
+    return [tree.get(name, 0) for name in ("coulomb_positive", "coulomb_negative")]
+
+
+def follows(errors: list[float]) -> Callable[..., tuple[float, Any]]:
+    """What each step of a proof is said to leave of the error, in turn; then the last."""
+    return lambda command, position, turns: (errors.pop(0) if errors[1:] else errors[0], position)
+
+
+def test_a_signal_in_the_store_undoes_nothing_of_what_is_decided(
+    link: str, tworelay: Tworelay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """85 % is stored, then a proof finds that 50 % is best, and Ctrl-C comes while that is stored."""
+    assert tworelay("identify", link, *BASE).returncode == 0
+    assert tworelay("apply", "last", "--yes").returncode == 0
+    assert in_ram(link) == in_memory(tmp_path) == [85, 85]
+    store = ProfiledDrive.store
+
+    def hurried(drive: ProfiledDrive) -> None:
+        signal.raise_signal(signal.SIGINT)
+        store(drive)
+
+    monkeypatch.setattr(verify, "reversal_error", follows([1.0, 0.5, 2.0]))
+    monkeypatch.setattr(ProfiledDrive, "store", hurried)
+    done = tworelay("verify", "last", "--yes", "--cycle", "0.004", "--json", str(tmp_path / "j"))
+    assert done.returncode == 130
+    assert in_ram(link) == in_memory(tmp_path) == [50, 50]
+    assert kept() == json.loads((tmp_path / "j").read_text())
+    assert kept()["status"] == "completed"
+    assert kept()["ending"]["drive"] == {"compensation": "of this run", "stored": True}
+    whys = {c["parameter"]: c["why"] for c in kept()["compensation"] if c["new_raw"] == 50}
+    assert set(whys.values()) == {"50 % of the friction: the most that helped"}
+
+
+def test_trial_values_are_not_said_to_be_stored(
+    link: str, tworelay: Tworelay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert tworelay("identify", link, *BASE).returncode == 0
+    assert tworelay("apply", "last", "--yes").returncode == 0
+    follow, steps = Measurement.follow, []
+
+    def lost(job: Measurement, path: Any) -> Any:
+        steps.append(kept()["ending"])
+        if len(steps) == 2:
+            job.drive._bus.close()  # type: ignore[attr-defined]
+            raise LinkLost("the cable was pulled")
+        return follow(job, path)
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Measurement, "follow", lost)
+        done = tworelay("verify", "last", "--yes", "--cycle", "0.004")
+    assert done.returncode == 4
+    assert steps == [None, None], "a run that is killed now has no ending that is not true"
+    assert in_ram(link) == [50, 50]
+    assert in_memory(tmp_path) == [85, 85]
+    ending = kept()["ending"]
+    assert ending["drive"] == {"compensation": "partly of this run", "stored": False}
+    assert ending["axis"] == "NOT VERIFIED"
+    assert "coulomb_positive = 50" in told(done.stdout)
+    refused = tworelay("apply", "last", "--yes")
+    assert refused.returncode == 3
+    assert "NOT VERIFIED" in told(refused.stdout), "nobody has looked since"
+    assert "failed" in tworelay("history").stdout
+    assert tworelay("stop", link).returncode == 0
+    assert tworelay("restore", "--yes").returncode == 0
+    assert in_ram(link) == in_memory(tmp_path) == [0, 0]
+    assert kept()["ending"]["drive"] == AS_FOUND
+
+
+def test_old_values_that_could_not_be_stored_are_said_to_be_in_ram_only(
+    link: str, tworelay: Tworelay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert tworelay("identify", link, *BASE).returncode == 0
+    assert tworelay("apply", "last", "--yes").returncode == 0
+
+    def refuses(drive: ProfiledDrive) -> None:
+        raise WriteFailed("store refused")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(ProfiledDrive, "store", refuses)
+        done = tworelay("restore", "--yes")
+    assert done.returncode == 7
+    assert in_ram(link) == [0, 0]
+    assert in_memory(tmp_path) == [85, 85]
+    assert kept()["ending"]["drive"] == {"compensation": "as it was found", "stored": False}
+    assert "in its RAM only: its memory has others" in told(done.stdout)
+    assert kept()["error"]["text"] in done.stderr
+    assert tworelay("restore", "--yes").returncode == 0
+    assert in_memory(tmp_path) == [0, 0]
+    assert kept()["ending"]["drive"] == AS_FOUND
+
+
+def test_what_somebody_else_wrote_is_not_ours(
+    link: str, tworelay: Tworelay, tmp_path: Path
+) -> None:
+    assert tworelay("identify", link, *BASE).returncode == 0
+    assert tworelay("apply", "last", "--yes").returncode == 0
+    drive = open_drive(axis_of(link))
+    drive.write_raw("coulomb_positive", 33)
+    drive.close()
+    done = tworelay("restore", "--yes")
+    assert done.returncode == 7
+    assert in_ram(link) == [33, 0]
+    assert "NOT KNOWN what compensation the drive has" in told(done.stdout)
+    assert [(w["parameter"], w["certain"]) for w in kept()["written"]] == [
+        ("coulomb_positive", False)
+    ]
+
+
+def test_values_that_stood_there_before_a_proof_come_back(
+    link: str, tworelay: Tworelay, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert tworelay("identify", link, *BASE).returncode == 0
+    drive = open_drive(axis_of(link))
+    drive.write_raw("coulomb_positive", 7)
+    drive.close()
+    monkeypatch.setattr(verify, "reversal_error", follows([1.0, 2.0]))
+    done = tworelay("verify", "last", "--yes", "--cycle", "0.004")
+    assert done.returncode == 8
+    assert in_ram(link) == [7, 0]
+    assert "as it was found" in told(done.stdout)
+
+
+def test_gains_stay_said_where_the_compensation_does_not_help(
+    link: str, tworelay: Tworelay, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert tworelay("tune", link, *BASE).returncode == 0
+    assert tworelay("apply", "last", "--gains", "cascade", "--yes").returncode == 0
+    monkeypatch.setattr(verify, "reversal_error", follows([1.0, 2.0]))
+    done = tworelay("verify", "last", "--yes", "--cycle", "0.004")
+    assert done.returncode == 8
+    line = told(done.stdout)
+    assert "as it was found, with gains of this run (velocity_gain, " in line
+    assert kept()["ending"]["drive"] == AS_FOUND
+    assert {w["kind"] for w in kept()["written"]} == {"gain"}
+
+
+def test_the_last_run_that_wrote_has_the_drive(link: str, tworelay: Tworelay) -> None:
+    for fraction in ("0.5", "0.8"):
+        done = tworelay("identify", link, *BASE, "--fraction", fraction)
+        assert done.returncode == 0, done.stderr
+        assert tworelay("apply", "last", "--yes").returncode == 0
+    first, second = json.loads(tworelay("history", "--json").stdout)
+    assert (first["drive"], second["drive"]) == ("a later run's", "this run's, stored")
+    page = Path(tworelay("report", first["run"]).stdout.strip()).read_text("utf-8")
+    assert "compensation is of a later run" in page
+    assert tworelay("restore", "--yes").returncode == 0
+    first, second = json.loads(tworelay("history", "--json").stdout)
+    assert (first["drive"], second["drive"]) == ("this run's, stored", "as found")
+    assert in_ram(link) == [50, 50]
+
+
+def test_a_proof_that_ends_where_it_began_leaves_nothing_to_restore(
+    link: str, tworelay: Tworelay
+) -> None:
+    """Else a bare `restore` would switch on what a later one has switched off."""
+    assert tworelay("commission", link, *BASE).returncode == 0
+    again = tworelay("commission", link, *BASE)
+    assert again.returncode == 0, again.stderr
+    assert in_ram(link) == [85, 85]
+    first, second = (one["run"] for one in json.loads(tworelay("history", "--json").stdout))
+    assert tworelay("restore", second, "--yes").stdout.strip() == "nothing to restore"
+    assert tworelay("restore", first, "--yes").returncode == 0
+    assert in_ram(link) == [0, 0]
+
+
+def test_a_damaged_record_keeps_no_act_from_its_end(tworelay: Tworelay, after: Tworelay) -> None:
+    after("identify", "virtual://bench", "--yes")
+    folder = home() / "runs" / kept()["run"]
+    (folder / "samples.npz").write_bytes(b"no archive")
+    done = tworelay("verify", "last", "--yes")
+    assert done.returncode == 0, done.stderr
+    assert kept()["verification"]["kept_fraction"] == 0.85
+    assert (folder / "samples.damaged.npz").read_bytes() == b"no archive"
+    (folder / "run.json").write_text("{}")
+    assert json.loads(tworelay("history", "--json").stdout)[0]["verdict"] == "files damaged"
+    restored = tworelay("restore", "--yes")
+    assert restored.returncode == 0, restored.stderr
+    assert "the drive's compensation is as it was found" in told(restored.stdout)
+
+
+def test_a_stop_that_reaches_nothing_says_what_that_means(tworelay: Tworelay) -> None:
+    done = tworelay("stop", "modbus-tcp://127.0.0.1:1")
+    assert done.returncode == 4
+    assert told(done.stdout).endswith("use the emergency stop")
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        ("modbus-tcp://127.0.0.1:1502?unit=1", "modbus-tcp://localhost:1502", True),
+        ("modbus-tcp://127.0.0.1:1502?unit=1", "modbus-tcp://127.0.0.1:1502?unit=1&timeout=2", True),
+        ("modbus-tcp://127.0.0.1:1502?unit=1", "modbus-tcp://127.0.0.1:1502?unit=2", False),
+        ("modbus-tcp://127.0.0.1:1502", "modbus-rtu-tcp://127.0.0.1:1502", True),
+        ("canopen://socketcan/can0?node=5", "canopen://socketcan/can0?node=5&sync=bus", True),
+        ("canopen://socketcan/can0?node=5", "canopen://socketcan/can1?node=5", False),
+        ("virtual://bench", "virtual://bench?load=0.1", False),
+        ("no link", "virtual://bench", False),
+    ],
+)  # fmt: skip
+def test_one_drive_by_two_spellings_of_its_link(one: str, other: str, same: bool) -> None:
+    assert same_place(one, other) is same
+    assert same_place(other, one) is same

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.ma  # which np.median would import, in a cycle
 
 from commissioning.experiments.plan import Context, Plan, come_to_rest
 from drivers.sample import Sample

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import random
+import subprocess
+import sys
 from math import pi
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +16,7 @@ from commissioning.experiments.plan import Context
 from commissioning.experiments.two_relay import TwoRelay, two_relay
 from commissioning.identification.two_relay import from_cycles
 from drivers.sample import Sample, Status
+from tests.command import ROOT
 
 INERTIA, FRICTION = 1e-3, 0.1  # kg.m2, N.m
 DELAY, CYCLE, COUNT = 0.002, 0.004, 2 * pi / 100_000  # s, s, rad
@@ -78,3 +82,40 @@ def test_a_link_that_is_hardly_ever_on_time_gets_a_mean() -> None:
     found = run(0.05, 0.008, 1)
     coulomb = from_cycles(found.first, found.second, CYCLE).coulomb
     assert coulomb.low <= FRICTION <= coulomb.high
+
+
+WATCHED = """
+import sys
+from pathlib import Path
+from commissioning import runner
+from commissioning.interruption import Interruption
+from commissioning.journal import Journal
+from commissioning.session import measurement
+from commissioning.session.desk import Desk, Options
+from commissioning.session.identify import identify
+from commissioning.session.verify import Wishes, verify
+from drivers.link import axis_of
+
+def run(*words, **named):
+    before = set(sys.modules)
+    try:
+        return runner.run(*words, **named)
+    finally:
+        print(*sorted(set(sys.modules) - before))
+
+measurement.run = run
+with Journal(Path(sys.argv[1])) as journal, Interruption() as interruption:
+    desk = Desk(journal, interruption, lambda text: None, lambda question, word: True)
+    identify(axis_of("virtual://bench"), Options(cycle=0.004, method="all"), desk)
+    verify("last", None, desk, Wishes())
+"""
+
+
+def test_nothing_is_imported_in_a_cycle(tmp_path: Path) -> None:
+    """np.median imports numpy.ma when it is called first: 80 ms and more on a busy laptop, in motion."""
+    done = subprocess.run(
+        [sys.executable, "-c", WATCHED, str(tmp_path)],
+        capture_output=True, text=True, cwd=ROOT, timeout=150, check=True,
+    )  # fmt: skip
+    assert len(done.stdout.splitlines()) > 10
+    assert done.stdout.split() == []

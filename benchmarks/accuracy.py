@@ -18,14 +18,14 @@ sys.path.insert(0, str(HERE.parent))
 import numpy as np  # noqa: E402
 from scipy.signal import butter, filtfilt  # noqa: E402
 
+from commissioning.desk import Desk, Options  # noqa: E402
 from commissioning.identification.steady import SteadyPoint, fit  # noqa: E402
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
 from commissioning.result.document import RunResult  # noqa: E402
+from commissioning.rig.armed import Failure  # noqa: E402
 from commissioning.runs import RunFolder  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
-from commissioning.session.armed import Failure  # noqa: E402
-from commissioning.session.desk import Desk, Options  # noqa: E402
 from drivers.link import axis_of, open_drive, parse  # noqa: E402
 from drivers.virtual.axes import AXES, VirtualAxis, configured  # noqa: E402
 from profiles.procedures import Mode  # noqa: E402

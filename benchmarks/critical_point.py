@@ -26,12 +26,12 @@ from benchmarks.accuracy import (  # noqa: E402
     WATCHDOG_CYCLES,
     link_of,
 )
+from commissioning.desk import Desk, Options  # noqa: E402
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
 from commissioning.result.document import POINTS, GainSet, Point  # noqa: E402
+from commissioning.rig.armed import Failure  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
-from commissioning.session.armed import Failure  # noqa: E402
-from commissioning.session.desk import Desk, Options  # noqa: E402
 from commissioning.session.tune import DriveLoop, tune  # noqa: E402
 from commissioning.tuning.controllers import law  # noqa: E402
 from commissioning.tuning.rules import Cascade, Pid  # noqa: E402

@@ -21,12 +21,12 @@ from benchmarks.critical_point import critical_point  # noqa: E402
 from benchmarks.links import WIRES, links, served  # noqa: E402
 from benchmarks.stop_times import stop_times  # noqa: E402
 from benchmarks.units import units  # noqa: E402
+from commissioning.desk import Desk, Options  # noqa: E402
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
 from commissioning.result.document import RunResult  # noqa: E402
+from commissioning.rig import measurement, methods  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
-from commissioning.session import measurement, methods  # noqa: E402
-from commissioning.session.desk import Desk, Options  # noqa: E402
 from drivers.link import axis_of  # noqa: E402
 
 

@@ -68,8 +68,8 @@ def command(
     functions, any other motion by the latter.
     """
     from commissioning.cli import show
+    from commissioning.rig.measured import Rejected
     from commissioning.session.analyze import analyze
-    from commissioning.session.found import Rejected
 
     check_json(json_target)
     screen = Screen(json_target, yes=True)
@@ -81,7 +81,7 @@ def command(
         write_json(error.result, json_target)
         raise
     if target is not None:
-        from commissioning.session.ending import ended, erring, untouched
+        from commissioning.ending import ended, erring, untouched
         from commissioning.session.recorded import for_drive
         from profiles.errors import TwoRelayError
 

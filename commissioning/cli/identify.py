@@ -45,7 +45,7 @@ def measure(target: str, screen: Screen, job: Job) -> RunResult:
     """Run the experiments; on failure write the JSON too, then raise."""
     from commissioning.cli import show
     from commissioning.cli.tracing import tracer
-    from commissioning.session.armed import Failure
+    from commissioning.rig.armed import Failure
     from commissioning.session.identify import identify
 
     axis, options = job.axis(target), job.options()

@@ -50,8 +50,8 @@ def command(
     """
     import numpy as np
 
-    from commissioning.session.armed import Failure
-    from commissioning.session.desk import Options
+    from commissioning.desk import Options
+    from commissioning.rig.armed import Failure
     from commissioning.session.latency import dead_time, latency
 
     screen = Screen("-" if as_json else None, yes=yes)

@@ -23,8 +23,8 @@ def command(run: str | None, link: str | None, force: bool, dry_run: bool, yes: 
     Names the axis and the values, and asks.
     """
     from commissioning.cli import show
-    from commissioning.session.apply import restore, to_restore
-    from commissioning.session.ending import of_run
+    from commissioning.ending import of_run
+    from commissioning.session.restore import restore, to_restore
 
     screen = Screen(None, yes=yes)
     with at_desk(screen) as desk:

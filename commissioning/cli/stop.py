@@ -23,7 +23,7 @@ def command(target: str, profile: str | None) -> None:
     """Stop and de-energise the axis at TARGET, whoever enabled it."""
     from commissioning.journal import Journal
     from commissioning.processes import is_alive
-    from commissioning.session.apply import stop
+    from commissioning.session.stop import stop
     from drivers.home import home
     from drivers.places import same_place
     from profiles.errors import TwoRelayError

@@ -15,9 +15,9 @@ import click
 
 from commissioning.cli import output
 from commissioning.cli.options import verbose
+from commissioning.desk import Desk, Options
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
-from commissioning.session.desk import Desk, Options
 from drivers.home import home
 from drivers.link import axis_of
 from profiles.axis import Axis, load_axis
@@ -323,7 +323,7 @@ def travel_from(text: str | None) -> float | None:
 def act_on(run: str, desk: Desk, screen: Screen, json_target: str | None) -> Generator[None]:
     """An act on `run` that ends early writes its JSON, too, and says what is true then."""
     from commissioning.cli import show
-    from commissioning.session.ending import of_failed
+    from commissioning.ending import of_failed
 
     try:
         yield

@@ -11,11 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from commissioning.desk import Desk
 from commissioning.records import History, Intent
 from commissioning.result.document import RunResult
 from commissioning.runs import RunFolder, resolve
-from commissioning.session.apply import axis_of_run
-from commissioning.session.desk import Desk
+from commissioning.session.named import axis_of_run
 from drivers.link import check_files_of_others
 from profiles.axis import Axis
 from profiles.commands import commands_of

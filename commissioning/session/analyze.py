@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from commissioning.ending import begun, ended, failed
 from commissioning.identification import verdict
 from commissioning.identification.lock_in import LockIn, lock_in, phasors
 from commissioning.identification.modulating import (
@@ -32,8 +33,7 @@ from commissioning.result.document import (
     RunResult,
     Units,
 )
-from commissioning.session.ending import begun, ended, failed
-from commissioning.session.found import (
+from commissioning.rig.measured import (
     Rejected,
     balance_reading,
     curve_of,

@@ -6,11 +6,12 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 
+from commissioning.desk import Desk
+from commissioning.ending import ended, erring
 from commissioning.result.document import AxisState, Change, Error, RunResult
 from commissioning.runs import RunFolder
-from commissioning.session.apply import apply, leave_as_found
-from commissioning.session.desk import Desk
-from commissioning.session.ending import ended, erring
+from commissioning.session.apply import apply
+from commissioning.session.restore import leave_as_found
 from commissioning.session.verify import Wishes, provable, verify
 from profiles.errors import Interrupted, PreflightRefused, TwoRelayError
 from profiles.library import load_profile

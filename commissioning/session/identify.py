@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from commissioning.desk import Desk, Options
 from commissioning.identification.critical_point import (
     CriticalPoint,
     corrected,
@@ -16,10 +17,8 @@ from commissioning.identification.critical_point import (
 from commissioning.identification.reasons import Reason, Weight
 from commissioning.identification.verdict import dwell_share, is_unsigned, of_torque, torque_gain
 from commissioning.result.document import Bases, Experiment, FirstLook, RunResult, Setup
-from commissioning.runner import Recorder
-from commissioning.session.armed import in_a_run
-from commissioning.session.desk import Desk, Options
-from commissioning.session.found import (
+from commissioning.rig.armed import in_a_run
+from commissioning.rig.measured import (
     critical_points,
     cycles,
     experiment,
@@ -27,8 +26,9 @@ from commissioning.session.found import (
     judged,
     methods_of,
 )
-from commissioning.session.measurement import Measurement
-from commissioning.session.methods import PACE_IS_LONG, Measured
+from commissioning.rig.measurement import Measurement
+from commissioning.rig.methods import PACE_IS_LONG, Measured
+from commissioning.runner import Recorder
 from commissioning.session.proposal import with_proposal
 from profiles.axis import Axis
 from profiles.errors import MeasurementRejected

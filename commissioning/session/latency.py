@@ -11,15 +11,15 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from commissioning.desk import Desk, Options, connect
 from commissioning.experiments.design import SHORT
 from commissioning.identification.modulating import estimate
 from commissioning.identification.reasons import Reason, Weight
 from commissioning.result.document import Found, Quality, RunResult
-from commissioning.session.armed import in_a_run
-from commissioning.session.desk import Desk, Options, connect
-from commissioning.session.found import quantity
-from commissioning.session.measurement import Measurement
-from commissioning.session.preflight import CYCLES_A_WATCHDOG
+from commissioning.rig.armed import in_a_run
+from commissioning.rig.measured import quantity
+from commissioning.rig.measurement import Measurement
+from commissioning.rig.preflight import CYCLES_A_WATCHDOG
 from drivers.drive import GUARDS
 from profiles.axis import Axis
 from profiles.errors import LinkError, MeasurementRejected, UsageError

@@ -7,9 +7,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from commissioning.desk import Desk
 from commissioning.processes import is_alive
 from commissioning.runs import RunFolder
-from commissioning.session.desk import Desk
 from profiles.errors import JournalError, UsageError
 
 __all__ = ["Pruned", "prune"]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from commissioning.desk import Desk, begin_run, connect
+from commissioning.ending import axis_state, ended, on_drive
 from commissioning.result.document import RunResult
 from commissioning.runs import RunFolder
-from commissioning.session.desk import Desk, begin_run, connect
-from commissioning.session.ending import axis_state, ended, on_drive
 from commissioning.session.proposal import with_proposal
 from profiles.axis import Axis
 from profiles.errors import UsageError

@@ -8,6 +8,7 @@ from math import isfinite, pi
 import numpy as np
 from numpy.typing import NDArray
 
+from commissioning.desk import Desk
 from commissioning.identification.critical_point import CriticalPoint
 from commissioning.result.document import (
     LOOPS,
@@ -21,10 +22,9 @@ from commissioning.result.document import (
     Setup,
     StepResponse,
 )
+from commissioning.rig.points import TARGETS
 from commissioning.runs import resolve
-from commissioning.session.apply import axis_of_run
-from commissioning.session.desk import Desk
-from commissioning.session.points import TARGETS
+from commissioning.session.named import axis_of_run
 from commissioning.tuning.controllers import Gains
 from commissioning.tuning.plant import LoopPlant
 from commissioning.tuning.proposals import Hold, Known, Proposal, proposals

@@ -7,19 +7,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from commissioning.desk import Desk, Options, connect, none_unfinished, same_drive
+from commissioning.ending import axis_state, close_act, cut_off
 from commissioning.experiments.tracking import TURNS, TrackingPath, TrackingSamples, path_for
 from commissioning.guardian import guarded
 from commissioning.identification.tracking import TrackingError, at_rest, creeping, reversal_error
 from commissioning.journal import RESTORED, STORED, STORING, RunRecord
 from commissioning.records import has_stored
 from commissioning.result.document import RunResult, Trial, Verification, Written
+from commissioning.rig.armed import noted
+from commissioning.rig.measurement import Measurement
+from commissioning.rig.preflight import check_watchdog, choose_limits, look
 from commissioning.runner import Recorder
-from commissioning.session.apply import axis_of_run, own_run, store, unverified
-from commissioning.session.armed import noted
-from commissioning.session.desk import Desk, Options, connect, none_unfinished, same_drive
-from commissioning.session.ending import axis_state, close_act, cut_off
-from commissioning.session.measurement import Measurement
-from commissioning.session.preflight import check_watchdog, choose_limits, look
+from commissioning.session.named import axis_of_run, own_run
+from commissioning.session.storing import store, unverified
 from commissioning.settings import Settings
 from drivers.drive import Drive
 from drivers.sample import Sample

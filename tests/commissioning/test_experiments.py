@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from commissioning.desk import Desk, Options
 from commissioning.experiments.oscillator import Oscillator
 from commissioning.experiments.relay import Relay
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from commissioning.result.codec import encode
-from commissioning.session.armed import Failure
-from commissioning.session.desk import Desk, Options
+from commissioning.rig.armed import Failure
 from commissioning.session.identify import identify
 from drivers.home import home
 from drivers.link import axis_of, parse
@@ -397,6 +397,6 @@ def test_the_centring_is_a_pd_loop_a_sixth_as_fast_and_never_above_the_limit() -
 
 def test_the_command_line_and_the_session_know_the_same_methods() -> None:
     from commissioning.cli.terminal import METHODS as OFFERED
-    from commissioning.session.methods import METHODS
+    from commissioning.rig.methods import METHODS
 
     assert OFFERED == METHODS

@@ -15,7 +15,7 @@ import commissioning.guardian
 from commissioning.guardian import Guardian, guarded
 from commissioning.journal import Journal
 from commissioning.records import Context
-from commissioning.session.armed import noted
+from commissioning.rig.armed import noted
 from drivers.drive import StopReport
 from drivers.home import home
 from drivers.link import open_drive

@@ -17,7 +17,7 @@ import pytest
 
 import commissioning.guardian
 from commissioning.guardian import NOBODY, Guardian, guarded
-from commissioning.session.armed import noted
+from commissioning.rig.armed import noted
 from drivers.drive import StopFrames
 from drivers.link import axis_of, open_drive
 from profiles.axis import Axis

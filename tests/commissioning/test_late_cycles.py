@@ -90,8 +90,8 @@ from pathlib import Path
 from commissioning import runner
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
-from commissioning.session import measurement
-from commissioning.session.desk import Desk, Options
+from commissioning.rig import measurement
+from commissioning.desk import Desk, Options
 from commissioning.session.identify import identify
 from commissioning.session.verify import Wishes, verify
 from drivers.link import axis_of

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from commissioning.desk import Options
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from commissioning.records import Context
-from commissioning.session import preflight
-from commissioning.session.desk import Options
-from commissioning.session.preflight import Limits, choose_limits, look, prove_watchdog, writes
+from commissioning.rig import preflight
+from commissioning.rig.preflight import Limits, choose_limits, look, prove_watchdog, writes
 from commissioning.settings import Settings
 from drivers.link import axis_of, open_drive
 from drivers.profiled import ProfiledDrive

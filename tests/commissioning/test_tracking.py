@@ -10,7 +10,7 @@ import pytest
 from commissioning.envelope import Envelope
 from commissioning.experiments.plan import Context
 from commissioning.experiments.tracking import TrackingPath, track
-from commissioning.session.measurement import Measurement
+from commissioning.rig.measurement import Measurement
 from drivers.sample import Sample, Status
 from profiles.errors import EnvelopeTripped, FeedbackReversed, MeasurementRejected
 

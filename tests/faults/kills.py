@@ -19,16 +19,17 @@ from typing import Any
 
 import numpy as np
 
+from commissioning.desk import Desk, Options
 from commissioning.identification.tracking import TrackingError
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
+from commissioning.rig.armed import Failure, in_a_run
+from commissioning.rig.measurement import Measurement
 from commissioning.session import verify
-from commissioning.session.apply import apply, restore
-from commissioning.session.armed import Failure, in_a_run
+from commissioning.session.apply import apply
 from commissioning.session.commission import prove_and_store
-from commissioning.session.desk import Desk, Options
 from commissioning.session.identify import identify
-from commissioning.session.measurement import Measurement
+from commissioning.session.restore import restore
 from drivers.link import axis_of, open_drive
 from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from commissioning.desk import Desk, Options
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
-from commissioning.session.armed import Failure
-from commissioning.session.desk import Desk, Options
+from commissioning.rig.armed import Failure
 from commissioning.session.identify import identify
 from drivers.link import axis_of
 from drivers.virtual.firmware import Firmware

@@ -13,10 +13,10 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from commissioning.desk import Desk, Options
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
-from commissioning.session.armed import Failure
-from commissioning.session.desk import Desk, Options
+from commissioning.rig.armed import Failure
 from commissioning.session.identify import identify
 from commissioning.session.verify import Wishes, verify
 from drivers.link import axis_of, open_drive

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from commissioning.desk import Desk, Options
 from commissioning.experiments.approach import approach
 from commissioning.experiments.oscillations import Oscillations, Stretch, oscillations
 from commissioning.experiments.plan import Plan
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from commissioning.result.document import RunResult
-from commissioning.session.apply import restore
-from commissioning.session.armed import Failure, in_a_run
-from commissioning.session.desk import Desk, Options
+from commissioning.rig.armed import Failure, in_a_run
+from commissioning.rig.measurement import Measurement
 from commissioning.session.identify import identify
-from commissioning.session.measurement import Measurement
+from commissioning.session.restore import restore
 from drivers.link import open_can, open_drive, parse
 from profiles.axis import Axis
 from tests.faults.proxy import NEED_NO_ANSWER, WIRES, Proxy, Way, drive_end

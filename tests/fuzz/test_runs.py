@@ -24,7 +24,7 @@ from commissioning.records import history_of
 from commissioning.report.html import render
 from commissioning.result.codec import decode
 from commissioning.runs import RunFolder, as_of, resolve
-from commissioning.session.apply import axis_of_run
+from commissioning.session.named import axis_of_run
 from commissioning.session.tune import DriveLoop, tune
 from profiles.errors import JournalError, TwoRelayError
 from profiles.library import load_profile

@@ -16,7 +16,7 @@ from markupsafe import escape
 
 from commissioning.journal import RESTORED, STORED, STORING, Journal
 from commissioning.records import UP_TO
-from commissioning.session.measurement import Measurement
+from commissioning.rig.measurement import Measurement
 from drivers.home import home
 from drivers.link import axis_of, open_drive
 from drivers.modbus.bus import ModbusBus

@@ -15,9 +15,9 @@ import jsonschema
 import pytest
 
 from commissioning.journal import Journal
+from commissioning.rig.measurement import Measurement
 from commissioning.runs import RunFolder
 from commissioning.session import verify
-from commissioning.session.measurement import Measurement
 from drivers.home import home
 from drivers.link import axis_of, open_drive
 from drivers.places import same_place

@@ -32,7 +32,7 @@ EVERY = (
 POOL = (
     *EVERY, "commissioning/guardian.py", "commissioning/guardian_process.py",
     "commissioning/interruption.py", "commissioning/journal.py", "commissioning/ownership.py",
-    "commissioning/session/preflight.py", "drivers/power.py",
+    "commissioning/rig/preflight.py", "drivers/power.py",
 )  # fmt: skip
 DRAWN, SEED, WORKERS = 300, 1, 2
 MINUTES = 9.0

@@ -42,7 +42,7 @@ from commissioning.runner import Recorder
 from profiles.errors import MeasurementRejected
 
 if TYPE_CHECKING:
-    from commissioning.session.methods import Measured, Oscillation, Wished
+    from commissioning.rig.methods import Measured, Oscillation, Wished
 
 __all__ = [
     "Rejected",

@@ -10,6 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from commissioning.desk import Desk, Options
 from commissioning.envelope import Envelope
 from commissioning.experiments.creep import balancing_torque
 from commissioning.experiments.design import LONG, SHORT, RelayDesign, design
@@ -23,18 +24,17 @@ from commissioning.identification.modulating import ModulatingEstimate
 from commissioning.identification.record import Record, unfiltered
 from commissioning.identification.verdict import Units
 from commissioning.result.document import Limits
-from commissioning.runner import Recorder, run
-from commissioning.session import preflight
-from commissioning.session.desk import Desk, Options
-from commissioning.session.methods import PACE_IS_LONG, Measured, measure
-from commissioning.session.points import points
-from commissioning.session.preflight import (
+from commissioning.rig import preflight
+from commissioning.rig.methods import PACE_IS_LONG, Measured, measure
+from commissioning.rig.points import points
+from commissioning.rig.preflight import (
     cautious_speed,
     prove_watchdog,
     set_limits,
     still_moving,
     widen_speed,
 )
+from commissioning.runner import Recorder, run
 from commissioning.settings import Settings
 from drivers.drive import Drive
 from drivers.sample import Sample

@@ -5,14 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from commissioning.guardian import Guardian, guarded
-from commissioning.identification.reasons import Reason, Weight
-from commissioning.result.document import AxisState, Limits, Quality, RunResult
-from commissioning.runner import Recorder
-from commissioning.runs import RunFolder, Samples
-from commissioning.session import preflight
-from commissioning.session.desk import Desk, Options, begin_run, connect, none_unfinished
-from commissioning.session.ending import (
+from commissioning.desk import Desk, Options, begin_run, connect, none_unfinished
+from commissioning.ending import (
     axis_state,
     begun,
     ended,
@@ -21,9 +15,15 @@ from commissioning.session.ending import (
     on_drive,
     untouched,
 )
-from commissioning.session.found import Rejected, experiment
-from commissioning.session.measurement import Measurement
-from commissioning.session.preflight import check_watchdog, choose_limits, look, writes
+from commissioning.guardian import Guardian, guarded
+from commissioning.identification.reasons import Reason, Weight
+from commissioning.result.document import AxisState, Limits, Quality, RunResult
+from commissioning.rig import preflight
+from commissioning.rig.measured import Rejected, experiment
+from commissioning.rig.measurement import Measurement
+from commissioning.rig.preflight import check_watchdog, choose_limits, look, writes
+from commissioning.runner import Recorder
+from commissioning.runs import RunFolder, Samples
 from commissioning.settings import Settings
 from drivers.drive import Drive
 from profiles.axis import Axis

@@ -17,7 +17,7 @@ from commissioning.identification.modulating import EXPLAINS
 from commissioning.identification.reading import Reader, by_balance
 from commissioning.identification.reasons import Reason, Weight
 from commissioning.identification.record import kinematics
-from commissioning.session.methods import Measured, Rig, Wished
+from commissioning.rig.methods import Measured, Rig, Wished
 from profiles.errors import MeasurementRejected
 
 __all__ = ["TARGETS", "computed", "points"]

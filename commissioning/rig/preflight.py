@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil
 
+from commissioning.desk import Options
 from commissioning.interruption import Interruption
 from commissioning.runner import verified
-from commissioning.session.desk import Options
 from commissioning.settings import Settings
 from drivers.drive import SET, Drive
 from profiles.axis import Axis

@@ -9,6 +9,7 @@ from dataclasses import replace
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 
+from commissioning.desk import Desk
 from commissioning.identification.reasons import Reason, Weight
 from commissioning.records import History
 from commissioning.result.document import (
@@ -24,7 +25,6 @@ from commissioning.result.document import (
     Units,
 )
 from commissioning.runs import Array, RunFolder, drive_state, left_in_drive, resolve, settings_state
-from commissioning.session.desk import Desk
 from drivers.drive import Drive
 from profiles.axis import Axis
 from profiles.errors import DriveEnabled, TwoRelayError, UsageError

@@ -47,6 +47,16 @@ def test_the_readme_s_commands_work_in_their_order(tworelay: Tworelay) -> None:
     assert ran >= 4
 
 
+def test_the_examples_work_in_their_order(tworelay: Tworelay) -> None:
+    text = (ROOT / "examples" / "README.md").read_text("utf-8")
+    lines = re.findall(r"^\$ tworelay ([^\n]+)", text, re.MULTILINE)
+    for line in lines:
+        done = tworelay(*shlex.split(line))
+        assert done.returncode == 0, (line, done.stderr)
+    files = {path.name for path in (ROOT / "examples").glob("*.toml")}
+    assert files == set(re.findall(r"examples/(\S+\.toml)", text)), "each is shown"
+
+
 def test_the_demo_does_the_whole_job_and_names_its_report(tworelay: Tworelay) -> None:
     done = tworelay("demo")
     assert done.returncode == 0, done.stderr

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from commissioning.envelope import Envelope
+from commissioning.errors import EnvelopeTripped
 from commissioning.experiments.plan import Plan
 from commissioning.guardian import NOBODY, Guardian, guarded
 from commissioning.interruption import Interruption
@@ -27,7 +28,7 @@ from commissioning.runner import Recorder, run
 from drivers.drive import Drive
 from drivers.link import open_drive
 from profiles.axis import Axis
-from profiles.errors import EnvelopeTripped, TwoRelayError
+from profiles.errors import TwoRelayError
 from tests.faults.proxy import WIRES, Proxy, Way, drive_end
 
 __all__ = ["stop_times"]

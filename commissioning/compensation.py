@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from commissioning.result.document import Change, Found, Host
+from drivers.errors import WriteFailed
 from drivers.scaling import Scaling
-from profiles.errors import WriteFailed
 from profiles.parameter import Unit
 from profiles.schema import Profile
 

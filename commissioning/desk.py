@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
+from commissioning.errors import Interrupted
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from commissioning.ownership import announce, owned
@@ -17,7 +18,7 @@ from drivers.link import open_drive
 from drivers.link_text import is_simulated
 from drivers.places import same_place
 from profiles.axis import Axis
-from profiles.errors import IdentityMismatch, Interrupted, Refused
+from profiles.errors import IdentityMismatch, Refused
 from profiles.identity import Identity
 from profiles.library import digest
 

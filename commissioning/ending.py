@@ -26,8 +26,9 @@ from commissioning.result.document import (
 )
 from commissioning.runs import Array, RunFolder, drive_state, left_in_drive, resolve, settings_state
 from drivers.drive import Drive
+from drivers.errors import DriveEnabled
 from profiles.axis import Axis
-from profiles.errors import DriveEnabled, TwoRelayError, UsageError
+from profiles.errors import TwoRelayError, UsageError
 from profiles.identity import Identity
 from profiles.library import digest
 from profiles.schema import Profile

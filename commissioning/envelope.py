@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import inf, nan
 
+from commissioning.errors import EnvelopeTripped, FeedbackReversed
 from commissioning.experiments.stopping import Stopping
 from drivers.sample import Sample
-from profiles.errors import EnvelopeTripped, FeedbackReversed
 
 __all__ = ["Envelope", "Watch"]
 

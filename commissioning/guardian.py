@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Protocol
 
 from commissioning.processes import start
 from drivers.drive import Drive
+from drivers.errors import DriveFault, PreflightRefused
 from profiles.axis import Axis
-from profiles.errors import DriveFault, PreflightRefused, TwoRelayError
+from profiles.errors import TwoRelayError
 
 if TYPE_CHECKING:
     from drivers.serial_port import SerialPort

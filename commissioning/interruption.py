@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-from profiles.errors import Interrupted
+from commissioning.errors import Interrupted
 
 __all__ = ["Interruption"]
 

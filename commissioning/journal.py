@@ -15,6 +15,7 @@ from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
+from commissioning.errors import JournalError
 from commissioning.records import (
     END_OF_TIME,
     RESTORED,
@@ -33,7 +34,7 @@ from commissioning.records import (
     run_of,
 )
 from commissioning.sqlite_reading import read_only
-from profiles.errors import JournalError, Refused, UnknownName, UsageError
+from profiles.errors import Refused, UnknownName, UsageError
 
 __all__ = ["RESTORED", "STORED", "STORING", "Intent", "Journal", "Kind", "RunRecord"]
 

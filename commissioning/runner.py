@@ -9,14 +9,16 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from commissioning.envelope import Envelope
+from commissioning.errors import FeedbackReversed, Interrupted
 from commissioning.experiments.plan import Plan
 from commissioning.guardian import NOBODY, Guardian
 from commissioning.interruption import Interruption
 from commissioning.ownership import stopped_by
 from drivers.drive import Drive, StopReport
+from drivers.errors import DriveFault
 from drivers.realtime import real_time
 from drivers.sample import Sample
-from profiles.errors import DriveFault, FeedbackReversed, Interrupted, TwoRelayError
+from profiles.errors import TwoRelayError
 from profiles.procedures import Mode
 
 __all__ = ["Recorder", "run", "verified"]

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from commissioning.errors import JournalError
 from commissioning.journal import STORED, STORING, Journal
 from commissioning.records import UP_TO, History, history_of, history_tree, json_file
 from commissioning.result.codec import Curves, decode, text_of
@@ -34,7 +35,7 @@ from commissioning.result.document import (
 from commissioning.runner import Recorder
 from drivers.sample import Sample
 from profiles.dcf import dcf
-from profiles.errors import JournalError, UsageError
+from profiles.errors import UsageError
 from profiles.files import contents, replace
 from profiles.library import load_profile
 

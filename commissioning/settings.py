@@ -7,10 +7,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from commissioning.errors import JournalError
 from commissioning.journal import Intent, Journal, Kind
 from drivers.drive import Drive
+from drivers.errors import LinkError, WriteDenied, WriteFailed
 from profiles.commands import SET, commands_of
-from profiles.errors import JournalError, LinkError, TwoRelayError, WriteDenied, WriteFailed
+from profiles.errors import TwoRelayError
 
 __all__ = ["Restored", "Return", "Settings", "planned", "put_back", "settle"]
 

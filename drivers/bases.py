@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import nan
 
+from drivers.errors import PreflightRefused
 from drivers.scaling import Scaling
 from profiles.address import Address, CanopenAddress
 from profiles.axis import Axis
-from profiles.errors import PreflightRefused
 from profiles.parameter import Unit
 from profiles.schema import Profile
 

@@ -15,10 +15,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal
 
+from drivers.errors import AccessDenied, LinkError, NoAnswer
 from drivers.home import home
 from drivers.link import check_virtual, modbus_wire, open_can
 from drivers.link_text import Link, parse
-from profiles.errors import AccessDenied, LinkError, NoAnswer, TwoRelayError
+from profiles.errors import TwoRelayError
 from profiles.procedures import LinkDefaults, Patience
 
 __all__ = ["Finding", "of_link", "of_machine"]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drivers.drive import Bus
+from drivers.errors import AccessDenied, LinkError
 from drivers.home import home
 from drivers.link_text import Link, host_and_port, is_simulated, name_of, parse
 from drivers.optional import as_it_is
@@ -15,7 +16,7 @@ from drivers.pace import Pace, StepPace, WallPace
 from drivers.patience import when_up
 from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis, AxisLimits, Mechanics
-from profiles.errors import AccessDenied, IdentityMismatch, LinkError, Refused, UsageError
+from profiles.errors import IdentityMismatch, Refused, UsageError
 from profiles.identity import NOBODY, Identity
 from profiles.library import fitting, load_profile
 from profiles.procedures import LinkDefaults, Patience

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from profiles.errors import AccessDenied, NoAnswer
+from drivers.errors import AccessDenied, NoAnswer
 
 __all__ = ["patiently", "when_up"]
 

@@ -8,9 +8,9 @@ from typing import Protocol, TypeVar
 
 from drivers import cia402
 from drivers.drive import Bus
+from drivers.errors import DriveFault, NoAnswer, PreflightRefused, WriteDenied, WriteFailed
 from drivers.patience import patiently
 from drivers.sample import Status
-from profiles.errors import DriveFault, NoAnswer, PreflightRefused, WriteDenied, WriteFailed
 from profiles.procedures import Condition, Power, Step
 from profiles.schema import Profile
 

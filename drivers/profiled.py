@@ -11,20 +11,14 @@ from drivers import cia402, error_codes
 from drivers.bases import interpolation_period, read_bases
 from drivers.counter import Counter
 from drivers.drive import GUARDS, SET, Bus, Exchange, StopFrames, StopReport
+from drivers.errors import AccessDenied, NoAnswer, PreflightRefused, WriteDenied, WriteFailed
 from drivers.patience import patiently
 from drivers.power import perform, power_of
 from drivers.sample import Sample
 from drivers.scaling import Scaling
 from drivers.stopping import Rest, StopPath
 from profiles.axis import Axis
-from profiles.errors import (
-    AccessDenied,
-    NoAnswer,
-    PreflightRefused,
-    UnknownName,
-    WriteDenied,
-    WriteFailed,
-)
+from profiles.errors import UnknownName
 from profiles.identity import NOBODY, Identity
 from profiles.parameter import Access, Parameter, Protection, Trust
 from profiles.procedures import Mode, ModeCode

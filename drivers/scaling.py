@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import pi
 
+from drivers.errors import WriteFailed
 from profiles.address import Address
 from profiles.axis import Mechanics
-from profiles.errors import WriteFailed
 from profiles.parameter import Parameter, Unit
 
 __all__ = ["Scaling"]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal
 
+from drivers.errors import AccessDenied, LinkError
 from profiles.address import Address, CanopenAddress, ModbusAddress
-from profiles.errors import AccessDenied, LinkError
 from profiles.schema import Profile
 
 __all__ = ["TWIN_MARK", "TWIN_MARKED", "Simulation", "set_simulation"]

@@ -8,8 +8,8 @@ from math import inf, nan
 from typing import NamedTuple, TypeVar
 
 from drivers.drive import Bus, StopFrames, StopReport
+from drivers.errors import AccessDenied, WriteFailed
 from profiles.address import Address
-from profiles.errors import AccessDenied, WriteFailed
 from profiles.procedures import Step
 from profiles.schema import Profile
 

@@ -1,5 +1,8 @@
 """The one exception tree of tworelay, and the exit code that each branch ends with.
 
+Here is its root, and what profiles raise; what links and drives raise is in `drivers.errors`, what a job
+raises in `commissioning.errors`.
+
     TwoRelayError                      1   a bug, if it is ever raised as itself
     ├── UsageError                     2   "--travel abc", a file that is no TOML
     │   ├── ProfileError               2   unknown key in a profile, range upside down
@@ -32,26 +35,12 @@ from types import MappingProxyType
 from typing import Literal
 
 __all__ = [
-    "AccessDenied",
-    "DoesNotHelp",
-    "DriveEnabled",
-    "DriveFault",
-    "EnvelopeTripped",
-    "FeedbackReversed",
     "IdentityMismatch",
-    "Interrupted",
-    "JournalError",
-    "LinkError",
-    "LinkLost",
-    "MeasurementRejected",
-    "PreflightRefused",
     "ProfileError",
     "Refused",
     "TwoRelayError",
     "UnknownName",
     "UsageError",
-    "WriteDenied",
-    "WriteFailed",
 ]
 
 
@@ -129,128 +118,3 @@ class IdentityMismatch(Refused):
     """The drive on the link is not the one that is meant."""
 
     code = "refused.identity"
-
-
-class PreflightRefused(Refused):
-    """A condition for motion is not met."""
-
-    code = "refused.preflight"
-
-
-class DriveEnabled(PreflightRefused):
-    """The drive controls its axis already, by whomever it was enabled."""
-
-    code = "refused.enabled"
-
-
-class LinkError(TwoRelayError):
-    """The drive cannot be talked to."""
-
-    exit_code = 4
-    code = "link"
-    said_by = "the link"
-
-
-class NoAnswer(LinkError):
-    """The time-out of one request has passed."""
-
-    code = "link.no-answer"
-
-
-class LinkLost(LinkError):
-    """A link that worked no longer does."""
-
-    code = "link.lost"
-
-
-class DriveFault(TwoRelayError):
-    """The drive stopped by itself, or `said_by` stopped it."""
-
-    exit_code = 5
-    status = "stopped"
-    code = "drive.fault"
-    said_by = "the drive"
-
-    def __init__(self, message: str, said_by: str = "") -> None:
-        super().__init__(message)
-        self.said_by = said_by or type(self).said_by
-
-
-class EnvelopeTripped(DriveFault):
-    """A limit of the experiment was reached, so the axis was stopped."""
-
-    code = "limit"
-    said_by = "tworelay, at a limit of the experiment"
-
-
-class FeedbackReversed(EnvelopeTripped):
-    """The position answers against the torque, so that a quick stop would accelerate: the energy must go."""
-
-    code = "limit.feedback"
-
-
-class MeasurementRejected(TwoRelayError):
-    """The measurement gives no number that can be trusted."""
-
-    exit_code = 6
-    status = "rejected"
-    code = "measurement"
-
-
-class WriteFailed(TwoRelayError):
-    """A parameter is not what it should be after a write, a store or a restore."""
-
-    exit_code = 7
-    code = "write"
-
-
-class AccessDenied(TwoRelayError):
-    """The drive answers, and refuses an access.
-
-    `busy`: for now only. `missing`: it does not have it. `length`: of so many bytes.
-    """
-
-    exit_code = 4
-    code = "access.denied"
-    said_by = "the drive"
-
-    def __init__(
-        self, message: str, *, busy: bool = False, missing: bool = False, length: bool = False
-    ) -> None:
-        super().__init__(message)
-        self.busy = busy
-        self.missing = missing
-        self.length = length
-
-
-class WriteDenied(AccessDenied, WriteFailed):
-    """The drive answers, and refuses a write."""
-
-    exit_code = 7
-    code = "write.denied"
-
-
-class JournalError(WriteFailed):
-    """The journal cannot be read or written, so nothing may be done."""
-
-    code = "journal"
-
-
-class DoesNotHelp(TwoRelayError):
-    """The compensation was tried, and the axis follows no better with it: the old values are back."""
-
-    exit_code = 8
-    code = "verify.no-help"
-
-
-class Interrupted(TwoRelayError):
-    """The user or the system asked to end."""
-
-    exit_code = 130
-    status = "stopped"
-    code = "interrupted"
-
-    def __init__(self, message: str, signal_number: int, said_by: str = "the operator") -> None:
-        super().__init__(message)
-        self.exit_code = 128 + signal_number
-        self.said_by = said_by

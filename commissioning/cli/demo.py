@@ -13,7 +13,7 @@ from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Job, Screen
 from commissioning.interruption import Interruption
 from commissioning.processes import start
-from profiles.errors import LinkError
+from drivers.errors import LinkError
 
 if TYPE_CHECKING:
     from commissioning.result.document import RunResult

@@ -16,12 +16,13 @@ import click
 from commissioning.cli import output
 from commissioning.cli.options import verbose
 from commissioning.desk import Desk, Options
+from commissioning.errors import DoesNotHelp
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from drivers.home import home
 from drivers.link import axis_of
 from profiles.axis import Axis, load_axis
-from profiles.errors import DoesNotHelp, Refused, TwoRelayError, UsageError
+from profiles.errors import Refused, TwoRelayError, UsageError
 from profiles.plain import plain
 
 if TYPE_CHECKING:

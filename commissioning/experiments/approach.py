@@ -6,10 +6,10 @@ fed forward, so that the axis does not stick short of its goal.
 
 from __future__ import annotations
 
+from commissioning.errors import MeasurementRejected
 from commissioning.experiments.first_look import FirstLook
 from commissioning.experiments.plan import Context, Plan, come_to_rest
 from drivers.sample import Sample
-from profiles.errors import MeasurementRejected
 
 __all__ = ["approach"]
 

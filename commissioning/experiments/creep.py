@@ -7,7 +7,7 @@ load + friction one way and load − friction the other; at rest it gives anythi
 from __future__ import annotations
 
 from commissioning.experiments.plan import Context, Plan
-from profiles.errors import PreflightRefused
+from drivers.errors import PreflightRefused
 
 __all__ = ["balancing_torque"]
 

@@ -6,10 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import ceil, floor, log10, sqrt
 
+from commissioning.errors import MeasurementRejected
 from commissioning.experiments.first_look import FirstLook
 from commissioning.experiments.plan import Context
 from commissioning.experiments.stopping import Stopping
-from profiles.errors import MeasurementRejected, PreflightRefused
+from drivers.errors import PreflightRefused
 
 __all__ = ["LONG", "SHORT", "Pace", "RelayDesign", "design", "travel_needed"]
 

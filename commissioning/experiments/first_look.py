@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.ma  # which np.median would import, in a cycle
 
+from commissioning.errors import MeasurementRejected
 from commissioning.experiments.plan import Context, Plan, come_to_rest
 from drivers.sample import Sample
-from profiles.errors import MeasurementRejected
 
 __all__ = ["FirstLook", "first_look", "push"]
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from commissioning.errors import MeasurementRejected
 from commissioning.experiments.design import RelayDesign
 from commissioning.experiments.first_look import FirstLook
 from commissioning.experiments.oscillator import Held, Oscillator, Wave, hold, stop_at_reversal
@@ -18,7 +19,6 @@ from commissioning.experiments.relay import Relay
 from commissioning.experiments.relay_cycles import Span, limit_cycle
 from commissioning.identification.limit_cycle import LimitCycle, periods_of
 from drivers.sample import Sample
-from profiles.errors import MeasurementRejected
 
 __all__ = ["Oscillations", "Stretch", "oscillations"]
 

@@ -10,8 +10,8 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+from drivers.errors import PreflightRefused
 from drivers.sample import Sample
-from profiles.errors import PreflightRefused
 
 __all__ = ["Context", "Plan", "come_to_rest", "stand"]
 

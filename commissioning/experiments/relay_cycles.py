@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from commissioning.errors import MeasurementRejected
 from commissioning.experiments.design import RelayDesign
 from commissioning.experiments.first_look import FirstLook
 from commissioning.experiments.plan import Context, Plan, come_to_rest
@@ -20,7 +21,6 @@ from commissioning.identification.limit_cycle import (
     settled,
 )
 from drivers.sample import Sample
-from profiles.errors import MeasurementRejected
 
 __all__ = ["RelayTest", "Span", "balanced", "end_at_reversal", "limit_cycle", "settle", "stage"]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from commissioning.errors import MeasurementRejected
 from commissioning.experiments.approach import approach
 from commissioning.experiments.first_look import FirstLook
 from commissioning.experiments.plan import Context, Plan
-from profiles.errors import MeasurementRejected
 
 __all__ = ["Stopping", "run_up"]
 

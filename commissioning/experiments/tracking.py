@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import ceil, cos, pi
 
+from commissioning.errors import MeasurementRejected
 from commissioning.experiments.plan import Context, Plan
 from drivers.sample import Sample
-from profiles.errors import MeasurementRejected
 
 __all__ = ["TURNS", "TrackingPath", "TrackingSamples", "path_for", "track"]
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from math import exp, log, sqrt
 from typing import Literal
 
+from commissioning.errors import MeasurementRejected
 from commissioning.experiments.design import RelayDesign
 from commissioning.experiments.first_look import FirstLook
 from commissioning.experiments.plan import Context, Plan
@@ -23,7 +24,6 @@ from commissioning.experiments.relay_cycles import (
     stage,
 )
 from commissioning.identification.limit_cycle import LimitCycle
-from profiles.errors import MeasurementRejected
 
 __all__ = ["Solver", "TwoRelay", "two_relay"]
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from commissioning.errors import MeasurementRejected
 from commissioning.identification.critical_point import CriticalPoint, hysteresis_only, naive
 from commissioning.identification.estimate import Estimate
 from commissioning.identification.lock_in import LockIn
@@ -39,7 +40,6 @@ from commissioning.result.document import (
     Units,
 )
 from commissioning.runner import Recorder
-from profiles.errors import MeasurementRejected
 
 if TYPE_CHECKING:
     from commissioning.rig.methods import Measured, Oscillation, Wished

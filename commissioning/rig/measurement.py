@@ -12,6 +12,7 @@ import numpy as np
 
 from commissioning.desk import Desk, Options
 from commissioning.envelope import Envelope
+from commissioning.errors import EnvelopeTripped, FeedbackReversed, MeasurementRejected
 from commissioning.experiments.creep import balancing_torque
 from commissioning.experiments.design import LONG, SHORT, RelayDesign, design
 from commissioning.experiments.first_look import STEPS, FirstLook, first_look, torque_steps
@@ -37,17 +38,10 @@ from commissioning.rig.preflight import (
 from commissioning.runner import Recorder, run
 from commissioning.settings import Settings
 from drivers.drive import Drive
+from drivers.errors import DriveFault, PreflightRefused, WriteFailed
 from drivers.sample import Sample
 from profiles.axis import Axis
-from profiles.errors import (
-    DriveFault,
-    EnvelopeTripped,
-    FeedbackReversed,
-    MeasurementRejected,
-    PreflightRefused,
-    TwoRelayError,
-    WriteFailed,
-)
+from profiles.errors import TwoRelayError
 from profiles.procedures import Mode
 
 __all__ = ["Measurement"]

@@ -8,6 +8,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from commissioning.errors import MeasurementRejected
 from commissioning.experiments.approach import approach
 from commissioning.experiments.design import RelayDesign
 from commissioning.experiments.first_look import FirstLook
@@ -39,7 +40,6 @@ from commissioning.identification.verdict import (
     of_modulating,
     within_short,
 )
-from profiles.errors import MeasurementRejected
 
 __all__ = ["METHODS", "PACE_IS_LONG", "Measured", "Oscillation", "Rig", "Wished", "measure"]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from math import pi, radians, sin
 
+from commissioning.errors import MeasurementRejected
 from commissioning.experiments.at_period import Wanted, oscillate_at
 from commissioning.experiments.design import travel_needed
 from commissioning.identification.critical_point import CriticalPoint, at_phase
@@ -18,7 +19,6 @@ from commissioning.identification.reading import Reader, by_balance
 from commissioning.identification.reasons import Reason, Weight
 from commissioning.identification.record import kinematics
 from commissioning.rig.methods import Measured, Rig, Wished
-from profiles.errors import MeasurementRejected
 
 __all__ = ["TARGETS", "computed", "points"]
 

@@ -11,8 +11,9 @@ from commissioning.interruption import Interruption
 from commissioning.runner import verified
 from commissioning.settings import Settings
 from drivers.drive import SET, Drive
+from drivers.errors import DriveEnabled, DriveFault, PreflightRefused, WriteDenied
 from profiles.axis import Axis
-from profiles.errors import DriveEnabled, DriveFault, PreflightRefused, UsageError, WriteDenied
+from profiles.errors import UsageError
 from profiles.procedures import Mode
 
 __all__ = [

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from commissioning.ending import begun, ended, failed
+from commissioning.errors import MeasurementRejected
 from commissioning.identification import verdict
 from commissioning.identification.lock_in import LockIn, lock_in, phasors
 from commissioning.identification.modulating import (
@@ -43,7 +44,7 @@ from commissioning.rig.measured import (
     steady_reading,
 )
 from profiles.axis import Axis, Mechanics
-from profiles.errors import MeasurementRejected, UsageError
+from profiles.errors import UsageError
 
 __all__ = ["Columns", "analyze"]
 

@@ -16,7 +16,8 @@ from commissioning.session.named import axis_of_run, own_run
 from commissioning.session.storing import store, storing, unverified
 from commissioning.settings import Settings
 from drivers.drive import Drive
-from profiles.errors import DriveEnabled, Refused, TwoRelayError, UnknownName
+from drivers.errors import DriveEnabled
+from profiles.errors import Refused, TwoRelayError, UnknownName
 
 __all__ = ["apply"]
 

@@ -8,12 +8,14 @@ from dataclasses import replace
 
 from commissioning.desk import Desk
 from commissioning.ending import ended, erring
+from commissioning.errors import Interrupted
 from commissioning.result.document import AxisState, Change, Error, RunResult
 from commissioning.runs import RunFolder
 from commissioning.session.apply import apply
 from commissioning.session.restore import leave_as_found
 from commissioning.session.verify import Wishes, provable, verify
-from profiles.errors import Interrupted, PreflightRefused, TwoRelayError
+from drivers.errors import PreflightRefused
+from profiles.errors import TwoRelayError
 from profiles.library import load_profile
 
 __all__ = ["prove_and_store"]

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from commissioning.desk import Desk, Options
+from commissioning.errors import MeasurementRejected
 from commissioning.identification.critical_point import (
     CriticalPoint,
     corrected,
@@ -31,7 +32,6 @@ from commissioning.rig.methods import PACE_IS_LONG, Measured
 from commissioning.runner import Recorder
 from commissioning.session.proposal import with_proposal
 from profiles.axis import Axis
-from profiles.errors import MeasurementRejected
 
 __all__ = ["identify"]
 

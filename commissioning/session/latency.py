@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from commissioning.desk import Desk, Options, connect
+from commissioning.errors import MeasurementRejected
 from commissioning.experiments.design import SHORT
 from commissioning.identification.modulating import estimate
 from commissioning.identification.reasons import Reason, Weight
@@ -21,8 +22,9 @@ from commissioning.rig.measured import quantity
 from commissioning.rig.measurement import Measurement
 from commissioning.rig.preflight import CYCLES_A_WATCHDOG
 from drivers.drive import GUARDS
+from drivers.errors import LinkError
 from profiles.axis import Axis
-from profiles.errors import LinkError, MeasurementRejected, UsageError
+from profiles.errors import UsageError
 from profiles.library import load_profile
 
 __all__ = ["Latency", "dead_time", "latency"]

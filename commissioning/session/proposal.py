@@ -8,7 +8,7 @@ from commissioning.compensation import host_terms, propose
 from commissioning.identification.reasons import Reason, Weight
 from commissioning.result.document import Change, Quality, RunResult
 from drivers.drive import Drive
-from profiles.errors import AccessDenied, WriteFailed
+from drivers.errors import AccessDenied, WriteFailed
 from profiles.parameter import Trust
 
 __all__ = ["with_proposal"]

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from commissioning.desk import Desk
+from commissioning.errors import JournalError
 from commissioning.processes import is_alive
 from commissioning.runs import RunFolder
-from profiles.errors import JournalError, UsageError
+from profiles.errors import UsageError
 
 __all__ = ["Pruned", "prune"]
 

@@ -16,14 +16,8 @@ from commissioning.session.named import axis_of_run, resolve_any
 from commissioning.session.storing import store
 from commissioning.settings import Restored, Return, Settings, planned, put_back, settle
 from drivers.drive import Drive
-from profiles.errors import (
-    DriveEnabled,
-    LinkError,
-    Refused,
-    TwoRelayError,
-    UsageError,
-    WriteFailed,
-)
+from drivers.errors import DriveEnabled, LinkError, WriteFailed
+from profiles.errors import Refused, TwoRelayError, UsageError
 
 __all__ = ["leave_as_found", "restore", "to_restore"]
 

@@ -7,8 +7,9 @@ from threading import Thread
 from commissioning.desk import Desk, connect
 from commissioning.ownership import note_stop
 from drivers.drive import Drive, StopReport
+from drivers.errors import DriveFault, LinkError
 from profiles.axis import Axis
-from profiles.errors import DriveFault, LinkError, Refused
+from profiles.errors import Refused
 from profiles.parameter import Protection
 
 __all__ = ["stop"]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from commissioning.desk import Desk
 from commissioning.journal import RESTORED, STORED, STORING
 from drivers.drive import Drive
-from profiles.errors import Refused, TwoRelayError, WriteFailed
+from drivers.errors import WriteFailed
+from profiles.errors import Refused, TwoRelayError
 from profiles.parameter import Trust, Unit
 from profiles.schema import Profile
 

@@ -30,9 +30,10 @@ from commissioning.tuning.plant import LoopPlant
 from commissioning.tuning.proposals import Hold, Known, Proposal, proposals
 from commissioning.tuning.rules import Cascade
 from commissioning.tuning.step import Friction, Step
+from drivers.errors import WriteFailed
 from drivers.scaling import Scaling
 from profiles.axis import Axis
-from profiles.errors import Refused, UsageError, WriteFailed
+from profiles.errors import Refused, UsageError
 from profiles.library import load_profile
 from profiles.schema import Profile
 

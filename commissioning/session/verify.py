@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from commissioning.desk import Desk, Options, connect, none_unfinished, same_drive
 from commissioning.ending import axis_state, close_act, cut_off
+from commissioning.errors import DoesNotHelp
 from commissioning.experiments.tracking import TURNS, TrackingPath, TrackingSamples, path_for
 from commissioning.guardian import guarded
 from commissioning.identification.tracking import TrackingError, at_rest, creeping, reversal_error
@@ -23,9 +24,10 @@ from commissioning.session.named import axis_of_run, own_run
 from commissioning.session.storing import store, unverified
 from commissioning.settings import Settings
 from drivers.drive import Drive
+from drivers.errors import PreflightRefused
 from drivers.sample import Sample
 from profiles.axis import Axis
-from profiles.errors import DoesNotHelp, PreflightRefused, Refused, TwoRelayError
+from profiles.errors import Refused, TwoRelayError
 from profiles.procedures import Mode
 from profiles.schema import Profile
 

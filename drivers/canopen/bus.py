@@ -28,22 +28,20 @@ from drivers.canopen.pdo import (
 from drivers.canopen.pdo_parameters import PRE_OPERATIONAL, PdoParameters
 from drivers.canopen.wire import HEARTBEAT, SYNC, CanWire
 from drivers.drive import GUARDS, Exchange
+from drivers.errors import (
+    AccessDenied,
+    LinkError,
+    LinkLost,
+    PreflightRefused,
+    WriteDenied,
+    WriteFailed,
+)
 from drivers.pace import Pace
 from drivers.patience import patiently
 from drivers.serial_port import SerialPort, Stream
 from drivers.stepping import Simulation, set_simulation
 from profiles.address import Address, CanopenAddress
-from profiles.errors import (
-    AccessDenied,
-    LinkError,
-    LinkLost,
-    PreflightRefused,
-    ProfileError,
-    TwoRelayError,
-    UsageError,
-    WriteDenied,
-    WriteFailed,
-)
+from profiles.errors import ProfileError, TwoRelayError, UsageError
 from profiles.identity import Identity
 from profiles.parameter import Access
 from profiles.schema import Profile

@@ -7,8 +7,8 @@ from collections.abc import Collection
 
 from drivers.canopen.pdo import MAPPING, OFF, Objects, Pdo, agree, name_of, size_of
 from drivers.canopen.wire import CanWire
+from drivers.errors import AccessDenied, PreflightRefused, WriteDenied, WriteFailed
 from drivers.patience import patiently
-from profiles.errors import AccessDenied, PreflightRefused, WriteDenied, WriteFailed
 
 __all__ = ["PRE_OPERATIONAL", "PdoParameters"]
 

@@ -10,8 +10,8 @@ from typing import Any
 
 from drivers.canopen.bus import identify
 from drivers.canopen.wire import HEARTBEAT, CanWire
+from drivers.errors import AccessDenied, LinkError
 from drivers.patience import when_up
-from profiles.errors import AccessDenied, LinkError
 from profiles.identity import Identity
 
 __all__ = ["Node", "Traffic", "ask", "listen", "survey"]

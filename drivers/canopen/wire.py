@@ -24,9 +24,10 @@ from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.canopen import bus_state
+from drivers.errors import AccessDenied, LinkError, LinkLost, NoAnswer, WriteDenied
 from drivers.patience import patiently
 from drivers.serial_port import SerialPort, Stream
-from profiles.errors import AccessDenied, LinkError, LinkLost, NoAnswer, UsageError, WriteDenied
+from profiles.errors import UsageError
 
 __all__ = ["CanWire", "NoAnswer", "open_bus"]
 

@@ -9,6 +9,7 @@ from contextlib import AbstractContextManager
 from time import sleep
 
 from drivers.drive import Exchange
+from drivers.errors import AccessDenied, DriveFault, LinkLost, WriteDenied
 from drivers.modbus.client import POST_ANSWER, Client, NoAnswer
 from drivers.modbus.mailbox import MailboxAccess
 from drivers.modbus.registers import decode, encode
@@ -17,15 +18,7 @@ from drivers.patience import patiently
 from drivers.serial_port import SerialPort, Stream
 from drivers.stepping import TWIN_MARK, TWIN_MARKED, Simulation, set_simulation
 from profiles.address import Address, MailboxAddress, ModbusAddress
-from profiles.errors import (
-    AccessDenied,
-    DriveFault,
-    LinkLost,
-    ProfileError,
-    TwoRelayError,
-    UsageError,
-    WriteDenied,
-)
+from profiles.errors import ProfileError, TwoRelayError, UsageError
 from profiles.identity import NOBODY, Identity
 from profiles.procedures import LinkDefaults
 from profiles.schema import Profile

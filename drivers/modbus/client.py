@@ -23,11 +23,11 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
+from drivers.errors import AccessDenied, LinkError, LinkLost, NoAnswer
 from drivers.modbus.incoming import Incoming, LineIncoming, MbapIncoming
 from drivers.modbus.wires import RtuLine, TcpWire, Wire
 from drivers.pace import Silence
 from drivers.serial_port import SerialPort, Stream
-from profiles.errors import AccessDenied, LinkError, LinkLost, NoAnswer
 from profiles.procedures import LinkDefaults
 
 __all__ = ["POST_ANSWER", "Client", "ExceptionAnswer", "NoAnswer"]

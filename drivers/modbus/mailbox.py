@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from time import perf_counter, sleep
 
+from drivers.errors import AccessDenied, LinkError
 from drivers.modbus.client import Client
 from profiles.address import WIDTH_BITS, MailboxAddress
-from profiles.errors import AccessDenied, LinkError
 from profiles.procedures import Mailbox
 
 __all__ = ["MailboxAccess"]

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
+from drivers.errors import AccessDenied, LinkError
 from drivers.modbus.bus import identify
 from drivers.modbus.client import Client, ExceptionAnswer, NoAnswer
-from profiles.errors import AccessDenied, LinkError
 from profiles.identity import NOBODY, Identity
 
 __all__ = ["EVERYBODY", "Unit", "is_there", "survey"]

@@ -7,8 +7,9 @@ import ssl
 from dataclasses import dataclass
 from pathlib import Path
 
+from drivers.errors import LinkError
 from drivers.serial_port import SerialPort
-from profiles.errors import LinkError, UsageError
+from profiles.errors import UsageError
 from profiles.files import contents
 
 __all__ = ["RtuLine", "TcpWire", "Tls", "Wire"]

@@ -10,6 +10,7 @@ import struct
 from contextlib import AbstractContextManager, nullcontext
 
 from drivers.drive import Exchange
+from drivers.errors import AccessDenied, WriteDenied
 from drivers.serial_port import Stream
 from drivers.virtual.device import Device
 from drivers.virtual.firmware import SECOND, Denied, Reason
@@ -17,7 +18,7 @@ from drivers.virtual.habits import NONE, Habits
 from drivers.virtual.modbus_identity import PRODUCT, REVISION, VENDOR
 from drivers.virtual.registers import RegisterMap
 from profiles.address import Address, ModbusAddress
-from profiles.errors import AccessDenied, UsageError, WriteDenied
+from profiles.errors import UsageError
 from profiles.identity import Identity
 from profiles.schema import Profile
 

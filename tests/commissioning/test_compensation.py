@@ -6,9 +6,9 @@ import pytest
 
 from commissioning.compensation import propose
 from commissioning.result.document import Found, Quantity
+from drivers.errors import WriteFailed
 from drivers.scaling import Scaling
 from profiles.axis import Mechanics
-from profiles.errors import WriteFailed
 from profiles.law import Compensation, CompensationLaw
 from profiles.library import load_profile
 from profiles.schema import Profile

@@ -11,7 +11,7 @@ from commissioning.experiments.design import design
 from commissioning.experiments.first_look import FirstLook
 from commissioning.experiments.plan import Context
 from commissioning.experiments.stopping import Stopping
-from profiles.errors import PreflightRefused
+from drivers.errors import PreflightRefused
 
 KNOWN = FirstLook(
     breakaway=0.1, offset=0.0, coulomb=0.1, viscous=2e-3, inertia=1e-3, dead_time=2e-3

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from commissioning.envelope import Envelope, Watch
+from commissioning.errors import EnvelopeTripped, FeedbackReversed
 from commissioning.experiments.first_look import FirstLook
 from commissioning.experiments.plan import Context
 from commissioning.experiments.stopping import Stopping, run_up
 from drivers.sample import Sample, Status
-from profiles.errors import EnvelopeTripped, FeedbackReversed
 
 OK = Status(enabled=True, fault=False, stopping=False, limit=False, word=0x27)
 

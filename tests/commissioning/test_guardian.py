@@ -17,11 +17,11 @@ from commissioning.journal import Journal
 from commissioning.records import Context
 from commissioning.rig.armed import noted
 from drivers.drive import StopReport
+from drivers.errors import DriveFault, LinkError, LinkLost, PreflightRefused
 from drivers.home import home
 from drivers.link import open_drive
 from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis
-from profiles.errors import DriveFault, LinkError, LinkLost, PreflightRefused
 from profiles.procedures import Mode
 from tests.commissioning.test_guardian_line import impatient
 from tests.conftest import Serve

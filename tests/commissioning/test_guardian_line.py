@@ -19,9 +19,9 @@ import commissioning.guardian
 from commissioning.guardian import NOBODY, Guardian, guarded
 from commissioning.rig.armed import noted
 from drivers.drive import StopFrames
+from drivers.errors import DriveFault, PreflightRefused
 from drivers.link import axis_of, open_drive
 from profiles.axis import Axis
-from profiles.errors import DriveFault, PreflightRefused
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="descriptors are inherited on POSIX")
 _PATIENCE = 20.0  # s for what takes a fraction of one

@@ -19,8 +19,8 @@ import pytest
 from commissioning import guardian_process
 from commissioning.processes import start
 from drivers.drive import StopReport
+from drivers.errors import LinkLost
 from profiles.axis import Axis
-from profiles.errors import LinkLost
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="descriptors are inherited on POSIX")
 _PATIENCE, _LOOK = 20.0, 0.02  # s

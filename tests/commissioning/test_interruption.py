@@ -7,8 +7,8 @@ import threading
 
 import pytest
 
+from commissioning.errors import Interrupted
 from commissioning.interruption import Interruption
-from profiles.errors import Interrupted
 
 
 def test_a_signal_is_raised_where_the_program_is_each_time() -> None:

@@ -13,12 +13,14 @@ from typing import Any, cast
 
 import pytest
 
+from commissioning.errors import JournalError
 from commissioning.journal import RESTORED, STORED, STORING, Journal
 from commissioning.records import Context, history_of, history_tree
 from commissioning.settings import Settings, put_back, settle
 from drivers.drive import Drive
+from drivers.errors import LinkLost
 from drivers.link import axis_of, open_drive
-from profiles.errors import JournalError, LinkLost, UnknownName, UsageError
+from profiles.errors import UnknownName, UsageError
 from tests.command import ROOT
 
 

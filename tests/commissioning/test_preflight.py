@@ -15,11 +15,12 @@ from commissioning.records import Context
 from commissioning.rig import preflight
 from commissioning.rig.preflight import Limits, choose_limits, look, prove_watchdog, writes
 from commissioning.settings import Settings
+from drivers.errors import DriveFault, PreflightRefused
 from drivers.link import axis_of, open_drive
 from drivers.profiled import ProfiledDrive
 from drivers.sample import Sample
 from profiles.axis import Axis, AxisLimits
-from profiles.errors import DriveFault, PreflightRefused, UsageError
+from profiles.errors import UsageError
 from profiles.procedures import Mode
 from profiles.schema import Profile
 

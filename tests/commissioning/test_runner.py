@@ -10,15 +10,16 @@ from dataclasses import replace
 import pytest
 
 from commissioning.envelope import Envelope
+from commissioning.errors import EnvelopeTripped, Interrupted
 from commissioning.experiments.plan import Plan
 from commissioning.guardian import Guardian
 from commissioning.interruption import Interruption
 from commissioning.runner import Recorder, run
 from drivers.drive import StopReport
+from drivers.errors import DriveFault, LinkLost
 from drivers.link import axis_of, open_drive
 from drivers.profiled import ProfiledDrive
 from drivers.sample import Sample
-from profiles.errors import DriveFault, EnvelopeTripped, Interrupted, LinkLost
 from profiles.procedures import Mode
 
 WIDE = Envelope(centre=0.0, travel=100.0, speed=500.0, torque=1.0, duration=60.0)

@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 
+from commissioning.errors import JournalError
 from commissioning.journal import Intent, Journal
 from commissioning.records import Context
 from commissioning.settings import Restored, Settings, put_back, settle
-from profiles.errors import JournalError, LinkLost, WriteFailed
+from drivers.errors import LinkLost, WriteFailed
 from profiles.library import load_profile
 from profiles.schema import Profile
 

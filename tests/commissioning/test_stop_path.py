@@ -8,14 +8,15 @@ from typing import Any
 import pytest
 
 from commissioning.envelope import Envelope
+from commissioning.errors import EnvelopeTripped, Interrupted, MeasurementRejected
 from commissioning.experiments.plan import Plan
 from commissioning.interruption import Interruption
 from commissioning.runner import Recorder, run
+from drivers.errors import LinkLost
 from drivers.link import axis_of, open_drive
 from drivers.profiled import ProfiledDrive
 from drivers.virtual.device import Device
 from drivers.virtual.firmware import Firmware, State
-from profiles.errors import EnvelopeTripped, Interrupted, LinkLost, MeasurementRejected
 from profiles.library import load_profile
 from profiles.procedures import Mode
 

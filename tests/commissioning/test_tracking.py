@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from commissioning.envelope import Envelope
+from commissioning.errors import EnvelopeTripped, FeedbackReversed, MeasurementRejected
 from commissioning.experiments.plan import Context
 from commissioning.experiments.tracking import TrackingPath, track
 from commissioning.rig.measurement import Measurement
 from drivers.sample import Sample, Status
-from profiles.errors import EnvelopeTripped, FeedbackReversed, MeasurementRejected
 
 OK = Status(enabled=True, fault=False, stopping=False, limit=False, word=0x27)
 CYCLE, START = 0.001, 2.0

@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 
 from drivers.drive import Drive
+from drivers.errors import AccessDenied, PreflightRefused, WriteDenied, WriteFailed
 from drivers.link import axis_of, open_drive
 from drivers.virtual.axes import AXES, configured
 from drivers.virtual.device import Device
 from drivers.virtual.firmware import Firmware
-from profiles.errors import AccessDenied, PreflightRefused, UnknownName, WriteDenied, WriteFailed
+from profiles.errors import UnknownName
 from profiles.procedures import Mode
 from tests.conftest import Serve
 from tests.serving import WIRES

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import pytest
 
 from drivers.drive import Exchange
+from drivers.errors import DriveFault, PreflightRefused, WriteFailed
 from drivers.power import Cia402Power, ProcedurePower, perform, power_of
 from profiles.address import Address
-from profiles.errors import DriveFault, PreflightRefused, WriteFailed
 from profiles.library import load_profile
 from profiles.procedures import Step
 from profiles.schema import Profile

@@ -6,9 +6,9 @@ import math
 
 import pytest
 
+from drivers.errors import WriteFailed
 from drivers.scaling import Scaling
 from profiles.axis import Mechanics
-from profiles.errors import WriteFailed
 from profiles.library import load_profile
 
 PARAMETERS = load_profile("virtual-modbus").parameters

@@ -7,8 +7,9 @@ import uuid
 
 import pytest
 
+from drivers.errors import LinkError
 from drivers.scan import scan
-from profiles.errors import LinkError, UsageError
+from profiles.errors import UsageError
 from tests.conftest import Serve, Tworelay
 from tests.peers import Nodes, gateway
 

@@ -8,10 +8,10 @@ from math import inf
 import pytest
 
 from drivers.drive import StopReport
+from drivers.errors import AccessDenied, LinkLost
 from drivers.serial_port import SerialPort
 from drivers.stopping import Rest, StopPath
 from profiles.address import Address
-from profiles.errors import AccessDenied, LinkLost
 from profiles.library import load_profile
 from profiles.procedures import Step
 from profiles.schema import Profile

@@ -8,6 +8,7 @@ from collections.abc import Generator
 
 import drivers.link
 from drivers.drive import Bus, Exchange
+from drivers.errors import AccessDenied, WriteDenied
 from drivers.link import Link, Trace, state_file
 from drivers.modbus.registers import decode, encode
 from drivers.virtual.axes import configured
@@ -18,7 +19,6 @@ from drivers.virtual.memory import Memory
 from drivers.virtual.twin import modbus_twin
 from profiles.address import Address, ModbusAddress
 from profiles.axis import Axis
-from profiles.errors import AccessDenied, WriteDenied
 from profiles.schema import Profile
 from tests.command import ROOT
 

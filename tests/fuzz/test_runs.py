@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 
 from commissioning.cli import show
 from commissioning.cli.terminal import Screen
+from commissioning.errors import JournalError
 from commissioning.journal import Journal
 from commissioning.records import history_of
 from commissioning.report.html import render
@@ -26,7 +27,7 @@ from commissioning.result.codec import decode
 from commissioning.runs import RunFolder, as_of, resolve
 from commissioning.session.named import axis_of_run
 from commissioning.session.tune import DriveLoop, tune
-from profiles.errors import JournalError, TwoRelayError
+from profiles.errors import TwoRelayError
 from profiles.library import load_profile
 from tests.command import ROOT, in_this_process
 from tests.fuzz.mutation import fuzzed, mutated, slowly_fuzzed

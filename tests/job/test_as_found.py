@@ -14,16 +14,17 @@ from typing import Any
 import pytest
 from markupsafe import escape
 
+from commissioning.errors import Interrupted
 from commissioning.journal import RESTORED, STORED, STORING, Journal
 from commissioning.records import UP_TO
 from commissioning.rig.measurement import Measurement
+from drivers.errors import DriveFault, LinkLost, WriteDenied, WriteFailed
 from drivers.home import home
 from drivers.link import axis_of, open_drive
 from drivers.modbus.bus import ModbusBus
 from drivers.profiled import ProfiledDrive
 from profiles.address import Address
 from profiles.axis import Axis
-from profiles.errors import DriveFault, Interrupted, LinkLost, WriteDenied, WriteFailed
 from profiles.library import load_profile, source_text
 from tests.command import ROOT
 from tests.conftest import Serve, Tworelay

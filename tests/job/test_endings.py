@@ -18,12 +18,12 @@ from commissioning.journal import Journal
 from commissioning.rig.measurement import Measurement
 from commissioning.runs import RunFolder
 from commissioning.session import verify
+from drivers.errors import LinkLost, WriteDenied, WriteFailed
 from drivers.home import home
 from drivers.link import axis_of, open_drive
 from drivers.places import same_place
 from drivers.profiled import ProfiledDrive
 from drivers.sample import Sample
-from profiles.errors import LinkLost, WriteDenied, WriteFailed
 from tests.command import ROOT
 from tests.conftest import Serve, Tworelay
 from tests.interrupting import signalled

@@ -12,10 +12,10 @@ import pytest
 
 from commissioning.journal import Journal
 from commissioning.runs import RunFolder
+from drivers.errors import LinkError
 from drivers.home import home
 from drivers.link import open_drive
 from profiles.axis import Axis
-from profiles.errors import LinkError
 from tests.command import running
 from tests.conftest import Serve, Tworelay
 from tests.punctual import real_time

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from commissioning.envelope import Envelope
+from commissioning.errors import EnvelopeTripped
 from commissioning.experiments.plan import Plan
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
@@ -16,7 +17,6 @@ from drivers.home import home
 from drivers.link import axis_of, open_drive
 from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis
-from profiles.errors import EnvelopeTripped
 from profiles.library import builtin_names, load_profile
 from profiles.procedures import Mode
 from tests.command import ROOT

@@ -19,7 +19,7 @@ FAILING_STORE = textwrap.dedent(
     """
     import sys
     from drivers.profiled import ProfiledDrive
-    from profiles.errors import WriteFailed
+    from drivers.errors import WriteFailed
 
     def broken(self):
         raise WriteFailed("the memory of the drive is worn out")

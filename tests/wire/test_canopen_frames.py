@@ -15,16 +15,9 @@ import pytest
 from drivers.canopen.bus import CanopenBus, sync_period
 from drivers.canopen.bus_state import BUS_OFF, NO_ACK, PASSIVE, words
 from drivers.canopen.wire import CanWire, NoAnswer, open_bus
+from drivers.errors import AccessDenied, LinkError, LinkLost, PreflightRefused, WriteDenied
 from drivers.pace import WallPace
-from profiles.errors import (
-    AccessDenied,
-    LinkError,
-    LinkLost,
-    PreflightRefused,
-    TwoRelayError,
-    UsageError,
-    WriteDenied,
-)
+from profiles.errors import TwoRelayError, UsageError
 from profiles.library import load_profile
 
 Frame = tuple[int, str]

@@ -16,10 +16,10 @@ from contextlib import contextmanager
 
 import pytest
 
+from drivers.errors import NoAnswer
 from drivers.modbus.client import Client
 from drivers.modbus.wires import TcpWire
 from drivers.virtual.modbus_framing import crc
-from profiles.errors import NoAnswer
 
 READS = int(os.environ.get("TWORELAY_READS", "400"))
 PATIENCE = 0.003  # s

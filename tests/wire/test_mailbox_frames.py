@@ -8,11 +8,12 @@ from collections.abc import Iterator
 
 import pytest
 
+from drivers.errors import AccessDenied, LinkError
 from drivers.modbus.bus import ModbusBus
 from drivers.modbus.client import Client
 from drivers.modbus.wires import TcpWire
 from drivers.pace import WallPace
-from profiles.errors import AccessDenied, LinkError, TwoRelayError
+from profiles.errors import TwoRelayError
 from profiles.library import load_profile
 
 PROFILE = load_profile("festo-cmmt")

@@ -9,11 +9,11 @@ from contextlib import contextmanager
 
 import pytest
 
+from drivers.errors import AccessDenied, DriveFault, LinkError, LinkLost
 from drivers.modbus.bus import ModbusBus, identify
 from drivers.modbus.client import Client, NoAnswer
 from drivers.modbus.wires import TcpWire
 from drivers.pace import WallPace
-from profiles.errors import AccessDenied, DriveFault, LinkError, LinkLost
 from profiles.identity import Identity
 from profiles.library import load_profile
 

@@ -12,10 +12,11 @@ from pathlib import Path
 
 import pytest
 
+from drivers.errors import LinkError
 from drivers.link import axis_of, open_drive
 from drivers.modbus.client import Client
 from drivers.modbus.wires import TcpWire, Tls
-from profiles.errors import LinkError, UsageError
+from profiles.errors import UsageError
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl to make keys")
 

@@ -12,10 +12,11 @@ from contextlib import contextmanager
 
 import pytest
 
+from drivers.errors import AccessDenied, LinkError
 from drivers.link import is_simulated, parse
 from drivers.modbus.client import Client, NoAnswer
 from drivers.modbus.wires import RtuLine, TcpWire
-from profiles.errors import AccessDenied, LinkError, UsageError
+from profiles.errors import UsageError
 
 pty = pytest.importorskip("pty", reason="no pseudo-terminals on this system")
 

@@ -11,7 +11,7 @@ import can
 import pytest
 
 from drivers.canopen.wire import open_bus
-from profiles.errors import LinkError
+from drivers.errors import LinkError
 
 FRAME = b"< frame 085 1795563402.206018 3081110000000000 >"
 

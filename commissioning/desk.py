@@ -51,6 +51,7 @@ class Desk:
     Attributes
     ----------
     tell : one line for people about what happens
+    done : the last act came to its end, and its run says so
     confirm : (question, word to be typed) → whether it was typed; raises Refused without a terminal
     """
 
@@ -59,17 +60,18 @@ class Desk:
     tell: Callable[[str], None]
     confirm: Callable[[str, str], bool]
     trace: Callable[..., None] | None = None
+    done: bool = False
 
     @contextlib.contextmanager
     def finishing(self) -> Generator[None]:
         """What is begun is done, and noted, before a signal ends it; one that comes late undoes nothing."""
-        done = False
+        self.done = False
         try:
             with self.interruption.deferred():
                 yield
-                done = True
+                self.done = True
         except Interrupted as late:
-            late.noted = late.noted or done
+            late.noted = late.noted or self.done
             raise
 
     def agree(self, question: str, word: str, undone: str = "nothing was written") -> None:
@@ -129,8 +131,12 @@ def connect(
         try:
             yield drive
         finally:
-            with desk.interruption.deferred():
-                drive.close()
+            try:
+                with desk.interruption.deferred():
+                    drive.close()
+            except Interrupted as late:  # what was begun is done, and noted
+                late.noted = late.noted or desk.done
+                raise
 
 
 def _allowed_here(axis: Axis) -> None:

@@ -21,7 +21,9 @@ from commissioning.records import (
     RESTORED,
     STORED,
     STORING,
+    TAKEN_IN,
     UP_TO,
+    Cell,
     Context,
     Event,
     History,
@@ -30,10 +32,12 @@ from commissioning.records import (
     RunRecord,
     State,
     context_text,
+    image_of,
     intent_of,
     run_of,
 )
 from commissioning.sqlite_reading import read_only
+from drivers.places import same_place
 from profiles.errors import Refused, UnknownName, UsageError
 
 __all__ = ["RESTORED", "STORED", "STORING", "Intent", "Journal", "Kind", "RunRecord"]
@@ -242,11 +246,11 @@ class Journal:
         )
 
     def note_stored(self, run: str, text: str) -> None:
-        """Say that the drive has stored, and up to which write of the run; `text`: STORED or RESTORED."""
+        """Say what the drive does to its memory, and up to which write: STORING, STORED or RESTORED."""
         now = time.time()
         with self._errors():
-            row = self._db.execute("SELECT COUNT(*) FROM intents WHERE run=?", (run,)).fetchone()
-            told = [text] if text == RESTORED else [text, f"{UP_TO}{row[0]}"]
+            row = self._db.execute("SELECT IFNULL(MAX(seq), 0) FROM intents").fetchone()
+            told = [text, f"{UP_TO}{row[0]}"]
             self._db.execute("BEGIN IMMEDIATE")
             self._db.executemany(
                 "INSERT INTO events(run, at, text) VALUES (?,?,?)",
@@ -394,21 +398,49 @@ class Journal:
                 "SELECT at, text FROM events WHERE run=? ORDER BY seq", (record.id,)
             ).fetchall()
         events = tuple(Event(float(row["at"]), str(row["text"])) for row in rows)
-        return History(record, tuple(self.intents(record.id)), events, self._later(record.id))
+        return History(record, tuple(self.intents(record.id)), events, self._image(record))
 
-    def _later(self, run: str) -> str:
-        """A run on the same drive that wrote what is to stay after this one, and has it there; '': none."""
+    def _image(self, record: RunRecord) -> dict[str, Cell]:
+        """What the drive of a run has, by all that was written to it from here, and by its stores."""
         with self._errors():
-            row = self._db.execute(
-                "SELECT of_drive.id FROM of_drive JOIN of_drive AS this ON this.id=? "
-                "JOIN intents ON intents.run = of_drive.id WHERE of_drive.id <> this.id "
-                "AND of_drive.serial = this.serial AND of_drive.nameless = this.nameless "
-                "AND intents.kind <> 'experiment' AND intents.state <> 'restored' AND intents.seq > "
-                "(SELECT IFNULL(MAX(seq), 0) FROM intents WHERE run = this.id AND kind <> 'experiment') "
-                "ORDER BY intents.seq DESC LIMIT 1",
-                (run,),
-            ).fetchone()
-        return "" if row is None else str(row["id"])
+            runs = {
+                str(row["id"])
+                for row in self._db.execute(
+                    "SELECT id, link, nameless FROM of_drive WHERE serial=?", (record.serial,)
+                )
+                if not row["nameless"] or same_place(record.link, row["link"])
+            }
+            rows = self._db.execute(
+                "SELECT intents.* FROM intents JOIN of_drive ON of_drive.id = intents.run "
+                "WHERE serial=? AND kind <> 'experiment' ORDER BY seq",
+                (record.serial,),
+            ).fetchall()
+            told = self._db.execute(
+                "SELECT seq, run, at, text FROM events WHERE text IN (?,?,?) OR text LIKE ? OR text LIKE ? "
+                "ORDER BY seq",
+                (STORING, STORED, RESTORED, f"{UP_TO}%", f"{TAKEN_IN}%"),
+            ).fetchall()
+        taken_in = {r["run"]: (r["seq"], _count(r["text"])) for r in told if TAKEN_IN in r["text"]}
+        elsewhere = {run: write for run, (_, write) in taken_in.items()}
+        try:
+            writes = [
+                intent_of(dict(row))
+                for row in rows
+                if row["run"] in runs and row["seq"] > elsewhere.get(row["run"], 0)
+            ]
+        except UsageError as error:
+            raise self._damaged(error) from None
+        stores: list[tuple[int, str]] = []
+        for event in told:
+            run, text = event["run"], str(event["text"])
+            if run not in runs or event["seq"] <= taken_in.get(run, (0, 0))[0]:
+                continue
+            if text.startswith(UP_TO) and stores:
+                stores[-1] = (_count(text), stores[-1][1])
+            elif text in (STORING, STORED, RESTORED):
+                then = (r["seq"] for r in rows if r["run"] == run and r["at"] <= event["at"])
+                stores.append((max(then, default=0), text))
+        return image_of(writes, stores)
 
     def adopt(self, history: History) -> str:
         """Take in the journal of a run of another computer, unless it is known; returns its id."""
@@ -434,9 +466,11 @@ class Journal:
                     for i in history.intents
                 ],
             )
+            last = self._db.execute("SELECT IFNULL(MAX(seq), 0) FROM intents").fetchone()[0]
+            told = [(run.id, event.at, event.text) for event in history.events]
             self._db.executemany(
                 "INSERT INTO events(run, at, text) VALUES (?,?,?)",
-                [(run.id, event.at, event.text) for event in history.events],
+                [*told, (run.id, now, f"{TAKEN_IN}{last}")],
             )
             self._db.execute("COMMIT")
         return run.id
@@ -448,6 +482,12 @@ class Journal:
                 "SELECT 1 FROM runs WHERE id=? COLLATE NOCASE", (run,)
             ).fetchone()
         return found is not None
+
+
+def _count(text: str) -> int:
+    """The number at the end of an event; 0 where somebody wrote none there."""
+    found = re.search(r"([0-9]{1,18})$", text)
+    return int(found[1]) if found else 0
 
 
 _LONGEST_SLUG = 40  # characters

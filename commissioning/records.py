@@ -6,7 +6,8 @@ Rows and files have the types and ranges that tworelay writes, or are refused wi
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -22,7 +23,9 @@ __all__ = [
     "RESTORED",
     "STORED",
     "STORING",
+    "TAKEN_IN",
     "UP_TO",
+    "Cell",
     "Context",
     "Event",
     "History",
@@ -31,9 +34,9 @@ __all__ = [
     "RunRecord",
     "State",
     "context_text",
-    "has_stored",
     "history_of",
     "history_tree",
+    "image_of",
     "intent_of",
     "json_file",
     "run_of",
@@ -45,7 +48,12 @@ _SCHEMA = "tworelay.journal/1"
 _MOST_INTENTS = 10_000
 _LARGEST_NUMBER = 1e300
 STORING, STORED, RESTORED = "storing", "stored", "restored and stored"
-UP_TO = "stored up to write "  # and how many writes of the run there had been, behind STORED
+UP_TO = (
+    "stored up to write "  # and the journal's last one then, behind STORING, STORED and RESTORED
+)
+TAKEN_IN = (
+    "adopted up to write "  # likewise: what a run has until here was done by another computer
+)
 
 Kind = Literal["experiment", "compensation", "gain"]
 State = Literal["intended", "verified", "restored"]
@@ -126,54 +134,86 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True)
-class History:
-    """Everything that a journal knows of a run.
+class Cell:
+    """One parameter of a drive, by all that this computer wrote to it for good; raw values.
 
-    `later` : a run that has written over its values since, in the same drive; '': none
+    Attributes
+    ----------
+    raw, certain : in its RAM; not certain: the last write was cut off
+    memory : in its non-volatile memory; None: not known
+    writer : run that wrote it last
     """
+
+    raw: int
+    certain: bool
+    memory: int | None
+    writer: str
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """Everything that a journal knows of a run, and of its drive now."""
 
     run: RunRecord
     intents: tuple[Intent, ...]
     events: tuple[Event, ...]
-    later: str = ""
+    image: Mapping[str, Cell]
 
-    @property
-    def memory(self) -> str:
-        """What the run did last to the drive's non-volatile memory: STORED, RESTORED, STORING or ''."""
-        told = [e.text for e in self.events if e.text in (STORING, STORED, RESTORED)]
-        return told[-1] if told else ""
+    def before(self) -> dict[str, int]:
+        """What each parameter that the run wrote for good had before, raw."""
+        found: dict[str, int] = {}
+        for intent in self.intents:
+            if intent.lasts:
+                found.setdefault(intent.parameter, intent.old)
+        return found
 
-    def in_ram(self, parameter: str) -> Intent | None:
-        """The last write of a parameter that is meant to stay; None: it has what it had before the run."""
-        those = [i for i in self.intents if i.lasts and i.is_open and i.parameter == parameter]
-        if not those or (those[-1].new == those[0].old and those[-1].state == "verified"):
-            return None
-        return those[-1]
-
-    def in_memory(self, parameter: str) -> int | None:
-        """What the run stored of a parameter last, raw; None: what was there before, or it is not known."""
-        up_to = [e.text for e in self.events if e.text.startswith(UP_TO) or e.text == RESTORED]
-        if not up_to or up_to[-1] == RESTORED:
-            return None
-        count = int(up_to[-1].removeprefix(UP_TO))
-        those = [i for i in self.intents[:count] if i.lasts and i.parameter == parameter]
-        if not those or those[-1].new == those[0].old:
-            return None
-        return those[-1].new
+    def has_stored(self, values: Mapping[str, int]) -> bool:
+        """Whether the drive's memory has these raw values; what nobody here wrote is taken for stored."""
+        return all(
+            self.image[name].memory == raw for name, raw in values.items() if name in self.image
+        )
 
 
-def has_stored(history: History, values: dict[str, int]) -> bool:
-    """Whether the drive's memory has these raw values, as far as the run's journal knows."""
-    if history.memory != STORED:
-        return False
-    if not any(event.text.startswith(UP_TO) for event in history.events):
-        return True  # a version that did not say what it stored
-    for name, raw in values.items():
-        old = next((i.old for i in history.intents if i.lasts and i.parameter == name), raw)
-        stored = history.in_memory(name)
-        if raw != (old if stored is None else stored):
-            return False
-    return True
+def image_of(writes: Sequence[Intent], stores: Sequence[tuple[int, str]]) -> dict[str, Cell]:
+    """What a drive has, by the writes to it in their order, and its stores: up to which write, what kind.
+
+    STORING as the last one: it was cut off, and may have happened.
+    """
+    base: dict[str, int] = {}
+    for write in writes:
+        base.setdefault(write.parameter, write.old)
+    ram = _after(writes, None)
+    before, stored = dict(base), dict(base)
+    for up_to, kind in stores:
+        at = base | {name: one.new for name, one in _after(writes, up_to).items()}
+        if kind != STORING:
+            before = at
+        stored = at
+    return {
+        name: Cell(
+            one.new, one.state != "intended",
+            stored[name] if stored[name] == before[name] else None, one.run,
+        )
+        for name, one in ram.items()
+    }  # fmt: skip
+
+
+def _after(writes: Sequence[Intent], up_to: int | None) -> dict[str, Intent]:
+    """The last write of each parameter, of those up to `up_to`.
+
+    Versions that did not journal what a restore wrote left settled writes only: the value is the one before.
+    """
+    groups: dict[tuple[str, str], list[Intent]] = {}
+    found: dict[str, Intent] = {}
+    for write in writes:
+        if up_to is None or write.seq <= up_to:
+            groups.setdefault((write.run, write.parameter), []).append(write)
+            found[write.parameter] = write
+    for name, last in found.items():
+        of_it = groups[last.run, name]
+        if not any(one.is_open for one in of_it) and last.new != of_it[0].old:
+            found[name] = replace(last, new=of_it[0].old)
+    return found
 
 
 # -- what rows and files must be --------------------------------------------------------------------
@@ -298,12 +338,15 @@ def history_of(tree: Any, origin: str) -> History:
     except UsageError as error:
         raise UsageError(f"{error}; so it is no exported run that can be read") from None
     run = found.run.id
-    intents = (
+    intents = tuple(
         Intent(seq, run, i.kind, i.parameter, i.old, i.new, i.state)
         for seq, i in enumerate(found.intents)
     )
-    events = (Event(e.at, e.text) for e in found.events)
-    return History(_run(found.run, adopted=True), tuple(intents), tuple(events))
+    events = tuple(Event(e.at, e.text) for e in found.events)
+    told = [e.text for e in events if e.text in (STORING, STORED, RESTORED)]
+    stores = [(len(intents), text) for text in told[-2:]]
+    image = image_of([i for i in intents if i.lasts], stores)
+    return History(_run(found.run, adopted=True), intents, events, image)
 
 
 def history_tree(history: History) -> dict[str, Any]:

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from commissioning.errors import JournalError
-from commissioning.journal import STORED, STORING, Journal
-from commissioning.records import UP_TO, History, history_of, history_tree, json_file
+from commissioning.journal import Journal
+from commissioning.records import History, history_of, history_tree, json_file
 from commissioning.result.codec import Curves, decode, text_of
 from commissioning.result.document import (
     AxisState,
@@ -269,21 +269,24 @@ class RunFolder:
 
 
 def left_in_drive(result: RunResult, history: History) -> tuple[Written, ...]:
-    """What the run changed and has not put back, by its journal; of what that does not know by the result."""
-    lasting = {intent.parameter: intent for intent in history.intents if intent.lasts}
-    if lasting and not any(i.is_open for i in history.intents if i.lasts):
-        return ()
-    left = {one.parameter: one for one in result.written if one.parameter not in lasting}
-    changes = {c.parameter: c for c in _changes(result)}
-    for name in lasting:
-        last, change = history.in_ram(name), changes.get(name)
-        if last is None:
+    """What the run changed and is in the drive, by the journal; of what that does not know by the result."""
+    before, changes = history.before(), {c.parameter: c for c in _changes(result)}
+    kinds = {intent.parameter: intent.kind for intent in history.intents if intent.lasts}
+    left = {one.parameter: one for one in result.written if one.parameter not in before}
+    for name, old in before.items():
+        cell, change = history.image.get(name), changes.get(name)
+        goal = None if change is None else change.new_raw
+        if cell is None or (cell.raw == old and cell.certain):
             continue
-        value = change.new if change is not None and change.new_raw == last.new else None
+        if cell.writer != history.run.id and cell.raw != goal:
+            continue
         left[name] = Written(
-            name, "gain" if last.kind == "gain" else "compensation", last.new, value,
-            change.unit if change else "", last.state == "verified",
+            name, "gain" if kinds[name] == "gain" else "compensation", cell.raw,
+            change.new if change is not None and cell.raw == goal else None,
+            change.unit if change else "", cell.certain,
         )  # fmt: skip
+    if before and not any(i.is_open for i in history.intents if i.lasts):
+        return tuple(one for one in left.values() if one.parameter in before)
     return tuple(left.values())
 
 
@@ -292,28 +295,26 @@ def _changes(result: RunResult) -> tuple[Change, ...]:
 
 
 def drive_state(result: RunResult, history: History) -> DriveState:
-    """Whose compensation is in the drive, by what the run has left there."""
-    written = {one.parameter: one for one in result.written if one.kind == "compensation"}
-    names = {i.parameter for i in history.intents if i.kind == "compensation"} | set(written)
-    stored = _is_stored(history, {name: one.raw for name, one in written.items()}, names)
-    if history.later and written:
-        return DriveState(CompensationState.OF_LATER)
-    if not written:
-        return DriveState(CompensationState.AS_FOUND, None if stored else False)
-    if not all(one.certain for one in written.values()):
+    """Whose compensation is in the drive, by what the run wrote and what was written since."""
+    mine = {i.parameter for i in history.intents if i.kind == "compensation"}
+    before = {name: raw for name, raw in history.before().items() if name in mine}
+    cells = {name: history.image[name] for name in before if name in history.image}
+    if not cells:
+        ours = any(one.kind == "compensation" for one in result.written)
+        return DriveState(CompensationState.OF_RUN, None) if ours else DriveState()
+    stored: bool | None = all(cell.memory == cell.raw for cell in cells.values())
+    if any(cell.memory is None for cell in cells.values()):
+        stored = None
+    if not all(cell.certain for cell in cells.values()):
         return DriveState(CompensationState.NOT_KNOWN, stored)
-    whole = result.wrote(result.compensation)
-    return DriveState(CompensationState.OF_RUN if whole else CompensationState.PARTLY, stored)
-
-
-def _is_stored(history: History, ram: dict[str, int], names: set[str]) -> bool | None:
-    """Whether the drive's memory has what its RAM has (`ram`: of what differs from before the run)."""
-    memory = history.memory
-    if memory == STORING:  # it was cut off: the memory has the values from before, or these
-        return None if ram else False
-    if memory == STORED and not any(e.text.startswith(UP_TO) for e in history.events):
-        return bool(ram) or not names  # of a version that did not say what it stored
-    return all(history.in_memory(name) == ram.get(name) for name in names)
+    if all(cell.raw == before[name] for name, cell in cells.items()):
+        return DriveState(CompensationState.AS_FOUND, None if stored else False)
+    goal = {change.parameter: change.new_raw for change in result.compensation}
+    if all(cell.raw == goal.get(name) for name, cell in cells.items()):
+        return DriveState(CompensationState.OF_RUN, stored)
+    if any(cell.writer == history.run.id for cell in cells.values()):
+        return DriveState(CompensationState.PARTLY, stored)
+    return DriveState(CompensationState.OF_OTHER)
 
 
 def settings_state(history: History) -> SettingsState:

@@ -215,6 +215,7 @@ class _Back:
         self._drive = drive
         self._force = force
         self.oldest = {intent.parameter: intent.old for intent in reversed(intents)}
+        # each value that it wrote: a drive that was without power has again what it had stored
         self._ours = {n: {i.new for i in intents if i.parameter == n} for n in self.oldest}
         self._commands = commands_of(drive.profile)
         profile = drive.profile

@@ -49,8 +49,12 @@ def same_place(one: str, other: str) -> bool:
         return False
     if "virtual" in (first.scheme, second.scheme):
         return False
-    whom = [link.options.get("unit") or link.options.get("node") or "1" for link in (first, second)]
-    return whom[0] == whom[1] and bool(set(buses(one)) & set(buses(other)))
+    whom = [
+        link.integer("unit", 0, 255) or link.integer("node", 1, 127) for link in (first, second)
+    ]
+    if None not in whom and whom[0] != whom[1]:  # without one, it is the profile's
+        return False
+    return bool(set(buses(one)) & set(buses(other)))
 
 
 def _serial(port: str) -> str:

@@ -709,7 +709,7 @@ class CompensationState(StrEnum):
     AS_FOUND = "as it was found"
     OF_RUN = "of this run"
     PARTLY = "partly of this run"
-    OF_LATER = "of a later run"
+    OF_OTHER = "of another run"
     NOT_KNOWN = "not known"
 
 

@@ -206,10 +206,10 @@ def _drive(state: DriveState, result: RunResult) -> str:
     way = f"('tworelay restore {result.run}' puts the old values back)"
     if state.compensation is CompensationState.NOT_KNOWN:
         return f"it is NOT KNOWN what compensation the drive has {way}" + _gains(result)
-    if state.compensation is CompensationState.OF_LATER:
-        return "the drive's compensation is of a later run"
+    if state.compensation is CompensationState.OF_OTHER:
+        return "the drive's compensation is of another run"
     if state.compensation is CompensationState.AS_FOUND:
-        memory = "" if state.stored is None else f", in its RAM only: its memory has others {way}"
+        memory = "" if state.stored is None else f", in its RAM: its memory may have others {way}"
         return f"the drive's compensation is as it was found{memory}" + _gains(result)
     what = "of this run"
     if state.compensation is CompensationState.PARTLY:

@@ -10,7 +10,7 @@ from typing import Literal
 from commissioning.desk import Desk, connect, none_unfinished, same_drive
 from commissioning.ending import axis_state, close_act, cut_off
 from commissioning.journal import Kind
-from commissioning.records import has_stored
+from commissioning.records import History
 from commissioning.result.document import Change, GainSet, RunResult, Written
 from commissioning.session.named import axis_of_run, own_run
 from commissioning.session.storing import store, storing, unverified
@@ -62,8 +62,7 @@ def apply(
         present = tuple(_present(change, drive) for change in proposal)
         show(present)
         stores, then = storing(drive.profile, prove_first=prove_first)
-        goal = {change.parameter: change.new_raw for change in present}
-        stored = not stores or has_stored(history, goal)
+        stored = not stores or _is_stored(history, proposal)
         names = [change.parameter for change in present]
         unverified(drive.profile, names, constant_known=axis.torque_constant is not None)
         if drive.profile.compensation.note:
@@ -79,6 +78,7 @@ def apply(
             try:
                 if writes:
                     folder.save(cut_off(result))
+                    _found_there(desk, history, proposal, present, gained)
                     of_loops = frozenset(change.parameter for change in gained)
                     with advising:
                         _write(drive, desk, run_id, present, of_loops, stores=stores)
@@ -92,6 +92,37 @@ def apply(
             result = replace(result, status="completed", error=None, written=(*others, *there))
             result = close_act(desk, folder, result, axis_state(drive, axis))
     return result
+
+
+def _is_stored(history: History, proposal: tuple[Change, ...]) -> bool:
+    """Whether the drive's memory has the proposal, as far as this computer knows."""
+    known = {c.parameter: c.new_raw for c in proposal if c.parameter in history.image}
+    others = (c for c in proposal if c.parameter not in history.image)
+    return history.has_stored(known) and all(c.old_raw == c.new_raw for c in others)
+
+
+def _found_there(
+    desk: Desk,
+    history: History,
+    proposal: tuple[Change, ...],
+    present: tuple[Change, ...],
+    gained: tuple[Change, ...],
+) -> None:
+    """Journal what somebody else has written as this run proposes it, so that there is a way back."""
+    for change, now in zip(proposal, present, strict=True):
+        cell = history.image.get(change.parameter)
+        known = cell is not None and cell.raw == now.old_raw
+        if (
+            change.old_raw not in (None, change.new_raw)
+            and now.old_raw == change.new_raw
+            and not known
+        ):
+            assert change.old_raw is not None
+            kind: Kind = "gain" if change in gained else "compensation"
+            intent = desk.journal.intend(
+                history.run.id, kind, change.parameter, change.old_raw, change.new_raw
+            )
+            desk.journal.settle([intent], "verified")
 
 
 def _check(result: RunResult, proposal: tuple[Change, ...]) -> None:

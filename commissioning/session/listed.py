@@ -86,8 +86,8 @@ def _in_drive(result: RunResult | None, history: History) -> str:
     if result is None:
         return "values of this run" if left else "as found"
     state = drive_state(result, history)
-    if state.compensation is CompensationState.OF_LATER:
-        return "a later run's"
+    if state.compensation is CompensationState.OF_OTHER:
+        return "another run's"
     if state.compensation is CompensationState.AS_FOUND:
         gains = any(one.kind == "gain" for one in result.written)
         memory = "" if state.stored is None else ", not stored"

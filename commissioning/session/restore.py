@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from commissioning.desk import Desk, connect, same_drive
 from commissioning.ending import axis_state, ended, erring
-from commissioning.journal import RESTORED, STORED, STORING
+from commissioning.journal import RESTORED, Journal
 from commissioning.records import History, Intent
 from commissioning.result.document import AxisState
 from commissioning.runs import RunFolder
@@ -75,9 +75,8 @@ def restore(
         show(plan, drive)
         if dry_run:
             return None
-        lasting = any(intent.kind != "experiment" for intent in intents)
-        stores = drive.profile.store is not None and desk.journal.memory(run_id) in _OURS
-        then = " and stored" if lasting and stores else ""
+        stores = drive.profile.store is not None and not history.has_stored(history.before())
+        then = " and stored" if stores else ""
         there = bool(plan) and all(row.there == row.old for row in plan)
         if not there:
             desk.agree(
@@ -86,10 +85,12 @@ def restore(
         elif then:
             desk.agree(
                 f"The drive of axis '{record.axis}' has these values already; they will be STORED, "
-                "as the run had stored others.",
+                "as its memory has others.",
                 record.axis,
             )
         with desk.finishing():
+            with contextlib.suppress(UsageError):
+                folder.save(replace(folder.result(), ending=None))
             try:
                 outcome = _put_all_back(drive, desk, run_id, force=force)
             except TwoRelayError as error:
@@ -131,14 +132,18 @@ def _check_not_enabled(drive: Drive, desk: Desk, run_id: str) -> None:
 def _put_all_back(drive: Drive, desk: Desk, run_id: str, *, force: bool) -> Restored:
     """Everything that a run changed in the connected drive; raises WriteFailed, PreflightRefused."""
     _check_not_enabled(drive, desk, run_id)
-    intents = desk.journal.intents(run_id, open_only=True)
-    settings = Settings(desk.journal, run_id, drive)
+    journal = desk.journal
+    intents = journal.intents(run_id, open_only=True)
+    lasting = [intent for intent in intents if intent.lasts]
+    old = {intent.parameter: intent.old for intent in reversed(lasting)}
+    back = _intended(journal, run_id, lasting)
+    settings = Settings(journal, run_id, drive)
     with settings.exclusive_access():
         outcome = put_back(drive, intents, force=force)
-    lasting = [intent for intent in intents if intent.kind != "experiment"]
-    # until they are all back, and stored where the run has stored, those for good stay open
-    settle(desk.journal, [i for i in intents if i.kind == "experiment"], outcome)
-    _note_back(desk, run_id, lasting, outcome)
+    done = {*outcome.restored, *outcome.already}
+    journal.settle([seq for name, seq in back.items() if name in done], "verified")
+    # until they are all back, and stored where others are in the memory, those for good stay open
+    settle(journal, [i for i in intents if not i.lasts], outcome)
     if not outcome.complete:
         unstored = "; nothing was stored" if lasting else ""
         raise _Incomplete(
@@ -146,33 +151,28 @@ def _put_all_back(drive: Drive, desk: Desk, run_id: str, *, force: bool) -> Rest
             f"'tworelay restore {run_id}' tries again",
             (*outcome.failed, *outcome.skipped),
         )
-    if lasting and drive.profile.store is not None and desk.journal.memory(run_id) in _OURS:
-        old = {intent.parameter: intent.old for intent in reversed(lasting)}
+    if drive.profile.store is not None and not journal.history(run_id).has_stored(old):
         try:
             store(drive, desk, run_id, old, RESTORED)
         except TwoRelayError as error:
             error.args = (f"{error}; 'tworelay restore {run_id}' tries again",)
             raise
-    of_run = desk.journal.intents(run_id, open_only=True)
-    settle(desk.journal, [i for i in of_run if i.lasts], outcome)
+    of_run = journal.intents(run_id, open_only=True)
+    settle(journal, [i for i in of_run if i.lasts], outcome)
     if outcome.failed:  # to say so in the journal
         raise WriteFailed(f"restore of run {run_id} is incomplete: {outcome}")
     return outcome
 
 
-def _note_back(desk: Desk, run_id: str, lasting: list[Intent], outcome: Restored) -> None:
-    """Of those for good, which stay open until all is done: what has its old value, and what nobody knows."""
-    for name in (*outcome.restored, *outcome.already):
+def _intended(journal: Journal, run_id: str, lasting: list[Intent]) -> dict[str, int]:
+    """Say of each value for good that is not the old one that it will be written back: a write like any."""
+    found: dict[str, int] = {}
+    for name in dict.fromkeys(intent.parameter for intent in lasting):
         of_it = [intent for intent in lasting if intent.parameter == name]
-        if of_it and of_it[-1].new != of_it[0].old:
-            first, last = of_it[0], of_it[-1]
-            back = desk.journal.intend(run_id, last.kind, name, last.new, first.old)
-            desk.journal.settle([back], "verified")
-    unknown = {i.parameter: i.seq for i in lasting if i.parameter in outcome.skipped}
-    desk.journal.settle(list(unknown.values()), "intended")
-
-
-_OURS = STORED, STORING  # what may be in a non-volatile memory
+        first, last = of_it[0], of_it[-1]
+        if last.new != first.old or last.state == "intended":
+            found[name] = journal.intend(run_id, last.kind, name, last.new, first.old)
+    return found
 
 
 class _Incomplete(WriteFailed):
@@ -204,7 +204,12 @@ def leave_as_found(run: str, desk: Desk) -> tuple[str, AxisState | None]:
     except TwoRelayError as error:
         history = desk.journal.history(run)
         left = [i.parameter for i in history.intents if i.is_open and not i.lasts]
-        left += [i.parameter for i in history.intents if i.lasts and history.in_ram(i.parameter)]
+        left += [
+            name
+            for name, old in history.before().items()
+            if name in history.image
+            and (history.image[name].raw, True) != (old, history.image[name].certain)
+        ]
         why = "the drive cannot be reached" if isinstance(error, LinkError) else str(error)
         way = f"'tworelay restore {run}' puts the old values back"
         if not left:

@@ -65,7 +65,7 @@ def store(
             f"this drive has stored {before} times from here, and its memory takes about {most}: the values "
             "are in effect, and not stored; store them with the maker's software if its memory is new"
         )
-    desk.journal.note(run_id, STORING)  # should this be cut off, `restore` must store
+    desk.journal.note_stored(run_id, STORING)  # should this be cut off, `restore` must store
     try:
         drive.store()
     except TwoRelayError as error:

@@ -13,8 +13,7 @@ from commissioning.errors import DoesNotHelp
 from commissioning.experiments.tracking import TURNS, TrackingPath, TrackingSamples, path_for
 from commissioning.guardian import guarded
 from commissioning.identification.tracking import TrackingError, at_rest, creeping, reversal_error
-from commissioning.journal import RESTORED, STORED, STORING, RunRecord
-from commissioning.records import has_stored
+from commissioning.journal import RESTORED, STORED, RunRecord
 from commissioning.result.document import RunResult, Trial, Verification, Written
 from commissioning.rig.armed import noted
 from commissioning.rig.measurement import Measurement
@@ -250,16 +249,14 @@ def _with_steps(
         with job.desk.interruption.deferred():
             with job.settings.exclusive_access():
                 _write(job, final)
-            memory = journal.memory(run)
-            if kept is not None and not has_stored(journal.history(run), final):
-                store(drive, job.desk, run, final)
-            elif kept is None and memory in (STORED, STORING):
+            if not journal.history(run).has_stored(final):
                 others = [
                     intent
                     for intent in journal.intents(run, open_only=True)
-                    if intent.kind != "experiment" and intent.parameter not in final
+                    if intent.lasts and intent.parameter not in final
                 ]
-                store(drive, job.desk, run, final, STORED if others else RESTORED)
+                lasts = kept is not None or bool(others)
+                store(drive, job.desk, run, final, STORED if lasts else RESTORED)
             if kept is None:
                 done = [i.seq for i in journal.intents(run, open_only=True) if i.parameter in final]
                 journal.settle(done, "restored")

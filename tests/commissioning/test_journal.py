@@ -358,7 +358,7 @@ def test_what_a_run_did_to_the_memory_moves_with_it(journal: Journal, tmp_path: 
     with Journal(tmp_path / "another") as other:
         other.adopt(journal.history(run))
         assert other.memory(run) == STORED
-        assert other.history(run).events == journal.history(run).events
+        assert other.history(run).events[:-1] == journal.history(run).events
 
 
 def stored(journal: Journal, *runs: str) -> list[int]:

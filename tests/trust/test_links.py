@@ -105,7 +105,8 @@ def test_a_state_of_ours_is_written_again_also_one_of_an_older_version(tmp_path:
     for old in (False, True):
         if old:
             file.write_text(json.dumps({k: v for k, v in kept.items() if k != "schema"}))
-        done = tworelay("commission", f"virtual://bench?state={file}", "--yes")
+        share = ("--fraction", "0.7") if old else ()  # else there is nothing to store
+        done = tworelay("commission", f"virtual://bench?state={file}", "--yes", *share)
         assert done.returncode == 0, done.stderr
         kept = json.loads(file.read_text())
         assert kept["schema"] == "tworelay.memory/1"

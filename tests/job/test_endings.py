@@ -562,7 +562,7 @@ def test_what_another_run_has_stored_is_known(
     assert in_ram(link) == in_memory(tmp_path) == [85, 85]
     assert (said(tworelay, first), said(tworelay, second)) == (
         "this run's, stored",
-        "another run's",
+        "as found",
     )
 
 

@@ -377,7 +377,7 @@ class Journal:
                 "AND intents.state <> 'restored' AND serial=? ORDER BY number",
                 (serial,),
             ).fetchall()
-        return [str(row["id"]) for row in rows if not row["nameless"] or is_here(row["link"])]
+        return [run for run, link, nameless, _ in rows if not nameless or is_here(link)]
 
     def unfinished_on(self, is_here: Callable[[str], bool]) -> list[str]:
         """Runs of this computer on a link that `is_here` whose settings are not back, in their order."""
@@ -386,7 +386,7 @@ class Journal:
                 "SELECT DISTINCT own.id, link, number FROM own JOIN intents ON intents.run = own.id "
                 "WHERE intents.kind='experiment' AND intents.state <> 'restored' ORDER BY number"
             ).fetchall()
-        return [str(row["id"]) for row in rows if is_here(row["link"])]
+        return [run for run, link, _ in rows if is_here(link)]
 
     # -- moving a run to another machine -----------------------------------------------------------
 
@@ -397,22 +397,18 @@ class Journal:
             rows = self._db.execute(
                 "SELECT at, text FROM events WHERE run=? ORDER BY seq", (record.id,)
             ).fetchall()
-        events = tuple(Event(float(row["at"]), str(row["text"])) for row in rows)
+        events = tuple(Event(float(at), str(text)) for at, text in rows)
         return History(record, tuple(self.intents(record.id)), events, self._image(record))
 
     def _image(self, record: RunRecord) -> dict[str, Cell]:
         """What the drive of a run has, by all that was written to it from here, and by its stores."""
         with self._errors():
-            runs = {
-                str(row["id"])
-                for row in self._db.execute(
-                    "SELECT id, link, nameless FROM of_drive WHERE serial=?", (record.serial,)
-                )
-                if not row["nameless"] or same_place(record.link, row["link"])
-            }
+            drives = self._db.execute(
+                "SELECT id, link, nameless FROM of_drive WHERE serial=?", (record.serial,)
+            ).fetchall()
             rows = self._db.execute(
-                "SELECT intents.* FROM intents JOIN of_drive ON of_drive.id = intents.run "
-                "WHERE serial=? AND kind <> 'experiment' ORDER BY seq",
+                "SELECT intents.seq, run, intents.at, intents.* FROM intents JOIN of_drive "
+                "ON of_drive.id = run WHERE serial=? AND kind <> 'experiment' ORDER BY intents.seq",
                 (record.serial,),
             ).fetchall()
             told = self._db.execute(
@@ -420,25 +416,29 @@ class Journal:
                 "ORDER BY seq",
                 (STORING, STORED, RESTORED, f"{UP_TO}%", f"{TAKEN_IN}%"),
             ).fetchall()
-        taken_in = {r["run"]: (r["seq"], _count(r["text"])) for r in told if TAKEN_IN in r["text"]}
-        elsewhere = {run: write for run, (_, write) in taken_in.items()}
+        here = {
+            run for run, link, nameless in drives if not nameless or same_place(record.link, link)
+        }
+        # of an adopted run: its event and its write up to which another computer did it
+        taken_in = {
+            run: (seq, _count(text)) for seq, run, _, text in told if text.startswith(TAKEN_IN)
+        }
         try:
             writes = [
                 intent_of(dict(row))
                 for row in rows
-                if row["run"] in runs and row["seq"] > elsewhere.get(row["run"], 0)
+                if row[1] in here and row[0] > taken_in.get(row[1], (0, 0))[1]
             ]
         except UsageError as error:
             raise self._damaged(error) from None
         stores: list[tuple[int, str]] = []
-        for event in told:
-            run, text = event["run"], str(event["text"])
-            if run not in runs or event["seq"] <= taken_in.get(run, (0, 0))[0]:
+        for seq, run, at, text in told:
+            if run not in here or seq <= taken_in.get(run, (0, 0))[0]:
                 continue
             if text.startswith(UP_TO) and stores:
                 stores[-1] = (_count(text), stores[-1][1])
             elif text in (STORING, STORED, RESTORED):
-                then = (r["seq"] for r in rows if r["run"] == run and r["at"] <= event["at"])
+                then = (row[0] for row in rows if row[1] == run and row[2] <= at)
                 stores.append((max(then, default=0), text))
         return image_of(writes, stores)
 

@@ -54,6 +54,8 @@ def same_place(one: str, other: str) -> bool:
     ]
     if None not in whom and whom[0] != whom[1]:  # without one, it is the profile's
         return False
+    if (first.scheme, first.place) == (second.scheme, second.place):
+        return True
     return bool(set(buses(one)) & set(buses(other)))
 
 

@@ -818,4 +818,4 @@ class RunResult:
     def wrote(self, changes: tuple[Change, ...]) -> bool:
         """Whether these values are in the drive, by this run."""
         there = {one.parameter: one.raw for one in self.written if one.certain}
-        return bool(there) and all(there.get(c.parameter, c.old_raw) == c.new_raw for c in changes)
+        return bool(changes) and all(there.get(c.parameter) == c.new_raw for c in changes)

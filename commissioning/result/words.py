@@ -27,6 +27,7 @@ __all__ = [
     "act_ended",
     "change_state",
     "duration",
+    "gains_lines",
     "gains_text",
     "helps",
     "host_law",
@@ -97,13 +98,18 @@ def duration(value: float | None) -> str:
 
 
 def gains_text(item: GainSet, units: Units) -> str:
-    """Gains by name with their units; an integral part that is not there is left out."""
+    """Gains by name with their units, in one line."""
+    return ", ".join(gains_lines(item, units))
+
+
+def gains_lines(item: GainSet, units: Units) -> list[str]:
+    """Each gain by name with its unit; an integral part that is not there is left out."""
     found = []
     for name, value in item.gains.items():
         symbol, of = GAINS[name]
         if value:
             found.append(f"{symbol} = {value:.4g} {getattr(units, of, of)}")
-    return ", ".join(found)
+    return found
 
 
 # -- what is changed --------------------------------------------------------------------------------

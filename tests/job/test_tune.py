@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -88,6 +89,8 @@ def test_gains_are_written_only_by_name_and_taken_back(tworelay: Tworelay, serve
     assert in_drive() == [item["new_raw"] for item in best["parameters"]] != before
     result = json.loads(written.stdout)
     jsonschema.validate(result, SCHEMA)
+    page = Path(tworelay("report", "last").stdout.strip()).read_text("utf-8")
+    assert re.findall(r"(best|yes|no: [^<,]*), written", page) == ["best"], "one set, and no other"
     gains = {one["parameter"] for one in result["written"] if one["kind"] == "gain"}
     assert gains == {item["parameter"] for item in best["parameters"]}
     restored = tworelay("restore", "--yes")

@@ -7,10 +7,12 @@ that is wrong.
 from __future__ import annotations
 
 import json
+from dataclasses import fields, is_dataclass
+from enum import StrEnum
 from functools import cache
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from commissioning.result.document import LONGEST_TEXT, QUANTITIES, SCHEMA, RunResult
 from profiles.errors import UsageError
@@ -38,7 +40,7 @@ def _adapter() -> TypeAdapter[RunResult]:
 
 def encode(result: RunResult) -> Tree:
     """The result as a tree for JSON."""
-    tree: Tree = _adapter().dump_python(result, mode="json")
+    tree: Tree = _plain(result)
     for name in _NUMBERS:
         if tree["friction"][name] is None:
             unit = result.units.of_quantity("coulomb" if name == "low_speed" else name)
@@ -49,6 +51,17 @@ def encode(result: RunResult) -> Tree:
         if reading is not None
     }
     return tree
+
+
+def _plain(value: Any) -> Any:
+    """A part of a result as JSON has it."""
+    if is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, BaseModel):
+        return value.model_dump()
+    return str(value) if isinstance(value, StrEnum) else value
 
 
 def printable(result: RunResult) -> RunResult:

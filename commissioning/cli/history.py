@@ -61,12 +61,14 @@ def list_runs(axis: str | None, most: int, everything: bool, as_json: bool) -> N
 
     with Journal(home(), reading=True) as journal:
         found, before = runs(journal, axis, None if everything else most)
+        axes = [] if found or axis is None else sorted({one.axis for one in journal.runs()})
     if as_json:
         document(json_text([_tree(one) for one in found]))
         return
     screen = Screen(None, yes=True)
     if not found:
-        screen.say("no runs" if axis is None else f"no runs of axis '{axis}'")
+        there = f"; there are: {', '.join(axes)}" if axes else ""
+        screen.say("no runs" if axis is None else f"no runs of axis '{axis}'{there}")
         return
     if before:
         screen.say(f"{before} older runs are not shown: --all")

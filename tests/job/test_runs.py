@@ -340,6 +340,7 @@ def test_the_list_says_what_was_found_and_what_is_in_the_drive(tworelay: Tworela
     assert "1 older runs are not shown: --all" in few
     assert rows[1]["run"] in few
     assert rows[2]["run"] not in few
-    assert tworelay("history", "nosuch").stdout.strip() == "no runs of axis 'nosuch'"
+    nosuch = tworelay("history", "nosuch").stdout.strip()
+    assert nosuch == "no runs of axis 'nosuch'; there are: bench, mx106"
     shutil.rmtree(home() / "runs" / rows[0]["run"])
     assert json.loads(tworelay("history", "--json").stdout)[0]["verdict"] == "files missing"

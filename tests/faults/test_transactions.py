@@ -13,6 +13,7 @@ from tests.faults.proxy import WIRES, Way
 from tests.faults.rig import Rig, ways
 from tests.faults.served import served
 
+_TRIES = 4
 _A_WAY = 2  # cases on a wire; `make faults` tries every one
 
 
@@ -28,7 +29,10 @@ def rig(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 
 def test_one_broken_transaction(rig: Rig) -> None:
-    answered, code = rig.case(None, Way.LOST_ANSWER)
+    for _ in range(_TRIES):  # a busy computer may lose a link by itself
+        answered, code = rig.case(None, Way.LOST_ANSWER)
+        if not code:
+            break
     assert code == 0
     assert len(answered) > 100
     draw, cases = random.Random(0), ways(answered)

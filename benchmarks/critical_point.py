@@ -29,7 +29,8 @@ from benchmarks.accuracy import (  # noqa: E402
 from commissioning.desk import Desk, Options  # noqa: E402
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
-from commissioning.result.document import POINTS, GainSet, Point  # noqa: E402
+from commissioning.result.found import POINTS, Point  # noqa: E402
+from commissioning.result.worth import GainSet  # noqa: E402
 from commissioning.rig.armed import Failure  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
 from commissioning.session.tune import DriveLoop, tune  # noqa: E402

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from commissioning.result.document import Change, Found, Host
+from commissioning.result.changes import Change, Host
+from commissioning.result.found import Found
 from drivers.errors import WriteFailed
 from drivers.scaling import Scaling
 from profiles.parameter import Unit

@@ -12,18 +12,9 @@ from importlib.metadata import PackageNotFoundError, version
 from commissioning.desk import Desk
 from commissioning.identification.reasons import Reason, Weight
 from commissioning.records import History
-from commissioning.result.document import (
-    SCHEMA,
-    AxisState,
-    Ending,
-    Error,
-    Found,
-    ProfileMark,
-    Quality,
-    RunResult,
-    Tool,
-    Units,
-)
+from commissioning.result.document import SCHEMA, ProfileMark, Quality, RunResult, Tool
+from commissioning.result.endings import AxisState, Ending, Error
+from commissioning.result.found import Found, Units
 from commissioning.runs import Array, RunFolder, drive_state, left_in_drive, resolve, settings_state
 from drivers.drive import Drive
 from drivers.errors import DriveEnabled

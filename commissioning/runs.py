@@ -20,18 +20,17 @@ from numpy.typing import NDArray
 from commissioning.errors import JournalError
 from commissioning.journal import Journal
 from commissioning.records import History, history_of, history_tree, json_file
+from commissioning.result.changes import Change, Written
 from commissioning.result.codec import Curves, decode, text_of
-from commissioning.result.document import (
+from commissioning.result.document import RunResult
+from commissioning.result.endings import (
     AxisState,
-    Change,
     CompensationState,
     DriveState,
     Ending,
-    RunResult,
     SettingsState,
-    Units,
-    Written,
 )
+from commissioning.result.found import Units
 from commissioning.runner import Recorder
 from drivers.sample import Sample
 from profiles.dcf import dcf

@@ -12,7 +12,7 @@ from commissioning.cli.output import document, json_text
 from commissioning.cli.terminal import Finite, Screen, at_desk, axis_from, travel_from
 
 if TYPE_CHECKING:
-    from commissioning.result.document import Quantity
+    from commissioning.result.found import Quantity
 
 __all__ = ["command"]
 

@@ -21,7 +21,10 @@ from commissioning.result.words import (
 )
 
 if TYPE_CHECKING:
-    from commissioning.result.document import Change, GainSet, Quantity, RunResult
+    from commissioning.result.changes import Change
+    from commissioning.result.document import RunResult
+    from commissioning.result.found import Quantity
+    from commissioning.result.worth import GainSet
     from commissioning.session.adopt import Adopted
     from commissioning.settings import Return
     from drivers.drive import Drive

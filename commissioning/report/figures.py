@@ -13,8 +13,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from commissioning.identification.describing_function import equivalent, inverse_locus, relay
-from commissioning.result.document import Cycle, GainSet, RunResult, Units, Verification
+from commissioning.result.document import RunResult
+from commissioning.result.experiment import Cycle
+from commissioning.result.found import Units
 from commissioning.result.words import number
+from commissioning.result.worth import GainSet, Verification
 from commissioning.runs import Array, Samples
 from commissioning.tuning.margins import LEAST_MARGIN
 

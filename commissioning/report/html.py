@@ -15,7 +15,9 @@ from commissioning.report import figures
 from commissioning.report.quiet import quiet
 from commissioning.result import words
 from commissioning.result.codec import printable
-from commissioning.result.document import LOOPS, POINTS, QUANTITIES, RunResult
+from commissioning.result.document import RunResult
+from commissioning.result.found import POINTS, QUANTITIES
+from commissioning.result.worth import LOOPS
 from commissioning.runs import Samples
 from profiles.errors import UsageError
 from profiles.plain import plain

@@ -14,7 +14,9 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from commissioning.result.document import LONGEST_TEXT, QUANTITIES, SCHEMA, RunResult
+from commissioning.result.document import SCHEMA, RunResult
+from commissioning.result.found import QUANTITIES
+from commissioning.result.kinds import LONGEST_TEXT
 from profiles.errors import UsageError
 from profiles.plain import plain_tree
 

@@ -5,18 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import floor, log10
 
-from commissioning.result.document import (
-    AxisState,
-    Change,
-    CompensationState,
-    DriveState,
-    GainSet,
-    Host,
-    RunResult,
-    SettingsState,
-    Units,
-    Verification,
-)
+from commissioning.result.changes import Change, Host
+from commissioning.result.document import RunResult
+from commissioning.result.endings import AxisState, CompensationState, DriveState, SettingsState
+from commissioning.result.found import Units
+from commissioning.result.worth import GainSet, Verification
 
 __all__ = [
     "GAINS",

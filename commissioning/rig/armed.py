@@ -17,7 +17,9 @@ from commissioning.ending import (
 )
 from commissioning.guardian import Guardian, guarded
 from commissioning.identification.reasons import Reason, Weight
-from commissioning.result.document import AxisState, Limits, Quality, RunResult
+from commissioning.result.document import Quality, RunResult
+from commissioning.result.endings import AxisState
+from commissioning.result.experiment import Limits
 from commissioning.rig import preflight
 from commissioning.rig.measured import Rejected, experiment
 from commissioning.rig.measurement import Measurement

@@ -18,26 +18,25 @@ from commissioning.identification.phase_locked import PhaseLocked
 from commissioning.identification.reasons import Reason, Weight, verdict, weightiest_first
 from commissioning.identification.steady import SteadyFit, SteadyPoint
 from commissioning.identification.two_relay import FrictionEstimate
-from commissioning.result.document import (
+from commissioning.result.document import Quality, RunResult
+from commissioning.result.experiment import Cycle, Experiment, Limits
+from commissioning.result.found import (
     QUANTITIES,
-    BalanceReading,
     CriticalPoints,
     Curve,
-    Cycle,
-    Experiment,
     Found,
+    Point,
+    Quantity,
+    Units,
+)
+from commissioning.result.readings import (
+    BalanceReading,
     Law,
-    Limits,
     Methods,
     ModulatingReading,
-    Point,
-    Quality,
-    Quantity,
-    RunResult,
     Speed,
     SteadyReading,
     TwoRelayReading,
-    Units,
 )
 from commissioning.runner import Recorder
 

@@ -24,7 +24,7 @@ from commissioning.guardian import Guardian
 from commissioning.identification.modulating import ModulatingEstimate
 from commissioning.identification.record import Record, unfiltered
 from commissioning.identification.verdict import Units
-from commissioning.result.document import Limits
+from commissioning.result.experiment import Limits
 from commissioning.rig import preflight
 from commissioning.rig.methods import PACE_IS_LONG, Measured, measure
 from commissioning.rig.points import points

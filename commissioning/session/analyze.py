@@ -24,16 +24,11 @@ from commissioning.identification.record import Record, rests
 from commissioning.identification.steady import SteadyFit, SteadyPoint, fit, plateaus
 from commissioning.identification.verdict import agreement, of_lock_in, of_modulating
 from commissioning.recording import Recording, column_of, read, table_of
-from commissioning.result.document import (
-    QUANTITIES,
-    AxisState,
-    Experiment,
-    Found,
-    Methods,
-    Quantity,
-    RunResult,
-    Units,
-)
+from commissioning.result.document import RunResult
+from commissioning.result.endings import AxisState
+from commissioning.result.experiment import Experiment
+from commissioning.result.found import QUANTITIES, Found, Quantity, Units
+from commissioning.result.readings import Methods
 from commissioning.rig.measured import (
     Rejected,
     balance_reading,

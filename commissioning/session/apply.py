@@ -11,7 +11,9 @@ from commissioning.desk import Desk, connect, none_unfinished, same_drive
 from commissioning.ending import axis_state, close_act, cut_off
 from commissioning.journal import Kind
 from commissioning.records import History
-from commissioning.result.document import Change, GainSet, RunResult, Written
+from commissioning.result.changes import Change, Written
+from commissioning.result.document import RunResult
+from commissioning.result.worth import GainSet
 from commissioning.session.named import axis_of_run, own_run
 from commissioning.session.storing import store, storing, unverified
 from commissioning.settings import Settings

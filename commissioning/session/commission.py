@@ -9,7 +9,9 @@ from dataclasses import replace
 from commissioning.desk import Desk
 from commissioning.ending import ended, erring
 from commissioning.errors import Interrupted
-from commissioning.result.document import AxisState, Change, Error, RunResult
+from commissioning.result.changes import Change
+from commissioning.result.document import RunResult
+from commissioning.result.endings import AxisState, Error
 from commissioning.runs import RunFolder
 from commissioning.session.apply import apply
 from commissioning.session.restore import leave_as_found

@@ -17,7 +17,8 @@ from commissioning.identification.critical_point import (
 )
 from commissioning.identification.reasons import Reason, Weight
 from commissioning.identification.verdict import dwell_share, is_unsigned, of_torque, torque_gain
-from commissioning.result.document import Bases, Experiment, FirstLook, RunResult, Setup
+from commissioning.result.document import RunResult
+from commissioning.result.experiment import Bases, Experiment, FirstLook, Setup
 from commissioning.rig.armed import in_a_run
 from commissioning.rig.measured import (
     critical_points,

@@ -16,7 +16,8 @@ from commissioning.errors import MeasurementRejected
 from commissioning.experiments.design import SHORT
 from commissioning.identification.modulating import estimate
 from commissioning.identification.reasons import Reason, Weight
-from commissioning.result.document import Found, Quality, RunResult
+from commissioning.result.document import Quality, RunResult
+from commissioning.result.found import Found
 from commissioning.rig.armed import in_a_run
 from commissioning.rig.measured import quantity
 from commissioning.rig.measurement import Measurement

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from commissioning.journal import Journal
 from commissioning.processes import is_alive
 from commissioning.records import History, RunRecord
-from commissioning.result.document import CompensationState, Quantity, RunResult
+from commissioning.result.document import RunResult
+from commissioning.result.endings import CompensationState
+from commissioning.result.found import Quantity
 from commissioning.result.words import VERDICTS
 from commissioning.runs import RunFolder, drive_state
 from profiles.errors import UsageError

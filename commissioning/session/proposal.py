@@ -6,7 +6,8 @@ from dataclasses import replace
 
 from commissioning.compensation import host_terms, propose
 from commissioning.identification.reasons import Reason, Weight
-from commissioning.result.document import Change, Quality, RunResult
+from commissioning.result.changes import Change
+from commissioning.result.document import Quality, RunResult
 from drivers.drive import Drive
 from drivers.errors import AccessDenied, WriteFailed
 from profiles.parameter import Trust

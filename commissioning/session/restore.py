@@ -10,7 +10,7 @@ from commissioning.desk import Desk, connect, same_drive
 from commissioning.ending import axis_state, ended, erring
 from commissioning.journal import RESTORED, Journal
 from commissioning.records import History, Intent
-from commissioning.result.document import AxisState
+from commissioning.result.endings import AxisState
 from commissioning.runs import RunFolder
 from commissioning.session.named import axis_of_run, resolve_any
 from commissioning.session.storing import store

@@ -10,18 +10,11 @@ from numpy.typing import NDArray
 
 from commissioning.desk import Desk
 from commissioning.identification.critical_point import CriticalPoint
-from commissioning.result.document import (
-    LOOPS,
-    Change,
-    CriticalPoints,
-    Experiment,
-    GainSet,
-    Mark,
-    Point,
-    RunResult,
-    Setup,
-    StepResponse,
-)
+from commissioning.result.changes import Change
+from commissioning.result.document import RunResult
+from commissioning.result.experiment import Experiment, Setup
+from commissioning.result.found import CriticalPoints, Point
+from commissioning.result.worth import LOOPS, GainSet, Mark, StepResponse
 from commissioning.rig.points import TARGETS
 from commissioning.runs import resolve
 from commissioning.session.named import axis_of_run

@@ -14,7 +14,9 @@ from commissioning.experiments.tracking import TURNS, TrackingPath, TrackingSamp
 from commissioning.guardian import guarded
 from commissioning.identification.tracking import TrackingError, at_rest, creeping, reversal_error
 from commissioning.journal import RESTORED, STORED, RunRecord
-from commissioning.result.document import RunResult, Trial, Verification, Written
+from commissioning.result.changes import Written
+from commissioning.result.document import RunResult
+from commissioning.result.worth import Trial, Verification
 from commissioning.rig.armed import noted
 from commissioning.rig.measurement import Measurement
 from commissioning.rig.preflight import check_watchdog, choose_limits, look

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from commissioning.compensation import propose
-from commissioning.result.document import Found, Quantity
+from commissioning.result.found import Found, Quantity
 from drivers.errors import WriteFailed
 from drivers.scaling import Scaling
 from profiles.axis import Mechanics

@@ -13,7 +13,9 @@ import pytest
 
 from commissioning.records import History, history_of
 from commissioning.result.codec import decode, encode, schema, text_of
-from commissioning.result.document import QUANTITIES, CompensationState, RunResult
+from commissioning.result.document import RunResult
+from commissioning.result.endings import CompensationState
+from commissioning.result.found import QUANTITIES
 from commissioning.runs import RunFolder, as_of, drive_state
 from profiles.errors import UsageError
 from tests.command import ROOT

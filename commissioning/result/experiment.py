@@ -1,0 +1,115 @@
+"""How it was measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from commissioning.result.kinds import Count, Finite, Pair, Positive, Text
+
+__all__ = ["Bases", "Cycle", "Experiment", "FirstLook", "Limits", "Setup"]
+
+
+@dataclass(frozen=True, slots=True)
+class Cycle:
+    """One oscillation: of a relay, or of an oscillator, which has no hysteresis.
+
+    Attributes
+    ----------
+    relay_amplitude : half of the torque's swing, N.m or N
+    hysteresis : half-width, rad or m
+    half_swing, fundamental : rad or m
+    begin, end : s since the record's begin
+    """
+
+    name: Text
+    period: Positive
+    begin: Finite
+    end: Finite
+    relay_amplitude: Finite | None = None
+    hysteresis: Finite | None = None
+    bias: Finite | None = None
+    half_swing: Finite | None = None
+    fundamental: Finite | None = None
+    duty: Finite | None = None
+    periods: Finite | None = None
+    settled: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the run was allowed: ± about its start, rad or m; N.m or N; rad/s or m/s."""
+
+    travel: Positive
+    torque: Positive
+    speed: Positive
+
+
+@dataclass(frozen=True, slots=True)
+class FirstLook:
+    """What short pushes told before the oscillations."""
+
+    breakaway: Finite
+    coulomb: Finite
+    offset: Finite
+    viscous: Finite
+    inertia: Finite
+    dead_time: Finite
+
+
+@dataclass(frozen=True, slots=True)
+class Bases:
+    """What scales the drive's numbers: N.m, increments a revolution, N.m/A."""
+
+    rated_torque: Finite
+    increments_per_revolution: Finite
+    torque_constant: Finite = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What the drive and the link were, where it takes a measurement to know it.
+
+    Attributes
+    ----------
+    turnaround : s, from a sample to the command that answers it
+    loop_lag : s, that the drive itself says of its torque
+    resolution : of the position, rad or m
+    """
+
+    turnaround: Finite
+    resolution: Finite
+    bases: Bases
+    first_look: FirstLook
+    loop_lag: Finite = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """How long and how regularly the axis was watched.
+
+    Attributes
+    ----------
+    periods : of all oscillations
+    duration : s
+    cycle : s
+    late_share, lost_share : of the cycles
+    travel : from end to end, rad or m
+    limits : None for a recording
+    cycles : one oscillation at each amplitude; empty where the run did not get there
+    complex_coulomb : that puts the relay's locus on the plant, N.m or N
+    tests : relay tests that the thesis' method took
+    repeats : Coulomb friction of each repeat, N.m or N
+    """
+
+    periods: Finite
+    duration: Finite
+    cycle: Positive
+    late_share: Finite
+    lost_share: Finite
+    travel: Finite
+    limits: Limits | None = None
+    cycles: tuple[Cycle, ...] = ()
+    complex_coulomb: Pair | None = None
+    tests: Count = 0
+    repeats: tuple[Finite, ...] = ()
+    setup: Setup | None = None

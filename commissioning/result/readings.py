@@ -1,0 +1,144 @@
+"""What each method read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from commissioning.result.kinds import Count, Finite, Pair, Text
+
+__all__ = [
+    "BalanceReading",
+    "Law",
+    "Methods",
+    "ModulatingReading",
+    "Speed",
+    "SteadyReading",
+    "TwoRelayReading",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class TwoRelayReading:
+    """The thesis' balance: its complex friction, N.m or N, and both relay tests."""
+
+    coulomb: Finite
+    real: Finite
+    imaginary: Finite
+    modulus: Finite
+    half_swing: Pair
+    fundamental: Pair
+    period: Pair
+    periods: tuple[Count, Count]
+    relay_amplitude: Pair
+    hysteresis: Pair
+    bias: Pair
+    duty: Pair
+    settled: tuple[bool, bool]
+
+
+@dataclass(frozen=True, slots=True)
+class BalanceReading:
+    """A balance on measured phasors.
+
+    Attributes
+    ----------
+    harmonics : friction at the harmonics 1, 3, 5, N.m or N
+    rejected : harmonics that were too small to be read
+    plant : real and imaginary part
+    phase_deg : of both oscillations, by the phase-locked method
+    """
+
+    coulomb: Finite
+    real: Finite
+    imaginary: Finite
+    modulus: Finite
+    half_swing: tuple[Finite, ...]
+    fundamental: tuple[Finite, ...]
+    period: Finite
+    periods: tuple[Finite, ...]
+    offset: Finite | None = None
+    viscous: Finite | None = None
+    inertia: Finite | None = None
+    dead_time: Finite | None = None
+    hysteresis: Finite | None = None
+    harmonics: dict[str, Finite] | None = None
+    rejected: tuple[Finite, ...] = ()
+    plant: Pair | None = None
+    phase_deg: tuple[Finite, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Law:
+    """The friction law that the record asks for."""
+
+    terms: tuple[Text, ...]
+    stribeck_speed: Finite | None = None
+    soft_speed: Finite | None = None
+    pitch: Finite | None = None
+    coefficients: tuple[Finite, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ModulatingReading:
+    """Modulating functions: numbers, law, and what says how far to trust them; shares of the torque."""
+
+    coulomb: Finite
+    offset: Finite
+    viscous: Finite
+    inertia: Finite
+    dead_time: Finite
+    law: Law
+    residual: Finite | None = None
+    held_out: Finite | None = None
+    rigid_residual: Finite | None = None
+    condition: Finite | None = None
+    halves: Finite | None = None
+    widths: Finite | None = None
+    noise: Finite | None = None
+    periods: Finite | None = None
+    windows: Finite | None = None
+    reversals: Finite | None = None
+    low_speed: Finite | None = None
+    peak_speed: Finite | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Speed:
+    """Torque at one constant speed, and its error."""
+
+    speed: Finite
+    torque: Finite
+    error: Finite
+
+
+@dataclass(frozen=True, slots=True)
+class SteadyReading:
+    """The friction curve from constant speeds."""
+
+    coulomb: Finite
+    offset: Finite
+    viscous: Finite
+    stribeck_level: Finite | None = None
+    stribeck_speed: Finite | None = None
+    rms: Finite | None = None
+    held_out: Finite | None = None
+    points: tuple[Speed, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Methods:
+    """What was run, each with its own reading; of a measurement that was repeated, of the last repeat."""
+
+    two_relay: TwoRelayReading | None = None
+    two_relay_delay: TwoRelayReading | None = None
+    phase_locked: BalanceReading | None = None
+    lock_in: BalanceReading | None = None
+    modulating: ModulatingReading | None = None
+    steady: SteadyReading | None = None
+
+    def readings(
+        self,
+    ) -> list[tuple[str, TwoRelayReading | BalanceReading | ModulatingReading | SteadyReading]]:
+        """Name and reading of each method that was run."""
+        pairs = [(one.name.replace("_", "-"), getattr(self, one.name)) for one in fields(self)]
+        return [(name, reading) for name, reading in pairs if reading is not None]

@@ -177,25 +177,23 @@ class History:
 def image_of(writes: Sequence[Intent], stores: Sequence[tuple[int, str]]) -> dict[str, Cell]:
     """What a drive has, by the writes to it in their order, and its stores: up to which write, what kind.
 
-    STORING as the last one: it was cut off, and may have happened.
+    STORING without an end was cut off, and may have happened: the memory is known where it can have one value
+    only.
     """
     base: dict[str, int] = {}
     for write in writes:
         base.setdefault(write.parameter, write.old)
     ram = _after(writes, None)
-    before, stored = dict(base), dict(base)
+    maybe = [base]
     for up_to, kind in stores:
         at = base | {name: one.new for name, one in _after(writes, up_to).items()}
-        if kind != STORING:
-            before = at
-        stored = at
-    return {
-        name: Cell(
-            one.new, one.state != "intended",
-            stored[name] if stored[name] == before[name] else None, one.run,
-        )
-        for name, one in ram.items()
-    }  # fmt: skip
+        maybe = [*maybe, at] if kind == STORING else [at]
+    found = {}
+    for name, one in ram.items():
+        values = {stored[name] for stored in maybe}
+        memory = values.pop() if len(values) == 1 else None
+        found[name] = Cell(one.new, one.state != "intended", memory, one.run)
+    return found
 
 
 def _after(writes: Sequence[Intent], up_to: int | None) -> dict[str, Intent]:

@@ -634,3 +634,28 @@ def test_a_foreign_journal_that_counts_wrongly_is_read(
     (tmp_path / "journal.json").write_text(json.dumps(journal))
     output = ("--output", str(tmp_path / "r.html"))
     assert tworelay("report", str(tmp_path), *output).returncode == 0
+
+
+def test_two_stores_that_were_cut_off_leave_the_memory_unknown(
+    link: str, tworelay: Tworelay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first has happened and the second has not: it is not taken for the old values."""
+    run = measured(tworelay, link, "0.85")
+    store = ProfiledDrive.store
+
+    def answer_lost(drive: ProfiledDrive) -> None:
+        store(drive)
+        raise LinkLost("no answer")
+
+    def refused(drive: ProfiledDrive) -> None:
+        raise WriteFailed("store refused")
+
+    for broken_store, act in ((answer_lost, "apply"), (refused, "restore")):
+        with monkeypatch.context() as broken:
+            broken.setattr(ProfiledDrive, "store", broken_store)
+            assert tworelay(act, run, "--yes").returncode in (4, 7)
+    assert (in_ram(link), in_memory(tmp_path)) == ([0, 0], [85, 85])
+    assert said(tworelay, run) == "as found, not stored"
+    assert tworelay("restore", run, "--yes").returncode == 0
+    assert in_ram(link) == in_memory(tmp_path) == [0, 0]
+    assert said(tworelay, run) == "as found"

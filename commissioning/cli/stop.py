@@ -12,8 +12,6 @@ from commissioning.cli.terminal import Screen, at_desk, axis_from
 
 __all__ = ["command"]
 
-UNSAFE = "it is NOT VERIFIED that the axis is at rest: use the emergency stop"
-
 
 @click.command("stop")
 @click.argument("target")
@@ -23,6 +21,8 @@ def command(target: str, profile: str | None) -> None:
     """Stop and de-energise the axis at TARGET, whoever enabled it."""
     from commissioning.journal import Journal
     from commissioning.processes import is_alive
+    from commissioning.result.endings import AxisState
+    from commissioning.result.words import axis_words
     from commissioning.session.stop import stop
     from drivers.home import home
     from drivers.places import same_place
@@ -34,7 +34,7 @@ def command(target: str, profile: str | None) -> None:
         try:
             screen.say(str(stop(axis, desk)))
         except TwoRelayError:
-            screen.say(UNSAFE)
+            screen.say(axis_words(AxisState.NOT_VERIFIED))
             raise
     with contextlib.suppress(TwoRelayError), Journal(home(), reading=True) as journal:
         for run in journal.unfinished_on(lambda link: same_place(link, axis.link or "")):

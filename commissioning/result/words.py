@@ -18,6 +18,7 @@ __all__ = [
     "QUANTITY_LABELS",
     "VERDICTS",
     "act_ended",
+    "axis_words",
     "change_state",
     "duration",
     "gains_lines",
@@ -163,6 +164,11 @@ _AXIS = {
     AxisState.NOT_VERIFIED: "it is NOT VERIFIED that the axis is at rest: use the emergency stop",
 }
 _NAMES_SHOWN = 4
+
+
+def axis_words(state: AxisState) -> str:
+    """What is known of an axis."""
+    return _AXIS[state]
 
 
 def act_ended(result: RunResult) -> str:

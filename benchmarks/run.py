@@ -25,7 +25,7 @@ from commissioning.desk import Desk, Options  # noqa: E402
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
 from commissioning.result.document import RunResult  # noqa: E402
-from commissioning.rig import measurement, methods  # noqa: E402
+from commissioning.rig import methods, mover  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
 from drivers.link import axis_of  # noqa: E402
 
@@ -105,7 +105,7 @@ def speed() -> list[str]:
     """How fast the loop is, and what the command line costs."""
     link = "virtual://bench"
     spent: list[tuple[float, int]] = []
-    original = vars(measurement)["run"]
+    original = vars(mover)["run"]
 
     def counted(*arguments: Any, **keywords: Any) -> Any:
         recorder = arguments[3]
@@ -116,7 +116,7 @@ def speed() -> list[str]:
             spent.append((time.perf_counter() - begin, len(recorder.samples) - before))
 
     rates = []
-    with patch.object(measurement, "run", counted):
+    with patch.object(mover, "run", counted):
         for _ in range(7):
             spent.clear()
             measure(link, 0.001)

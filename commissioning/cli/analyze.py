@@ -8,6 +8,7 @@ import click
 
 from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Finite, Screen, at_desk, axis_from, check_json, write_json
+from commissioning.result.readings import MethodName
 
 __all__ = ["command"]
 
@@ -30,7 +31,9 @@ __all__ = ["command"]
 @click.option("--steady", is_flag=True, help="Recordings at constant speeds, one or more a file.")
 @click.option(
     "--method",
-    type=click.Choice(["auto", "modulating", "lock-in"]),
+    type=click.Choice(
+        [MethodName.AUTO.value, MethodName.MODULATING.value, MethodName.LOCK_IN.value]
+    ),
     default="auto",
     show_default=True,
 )
@@ -68,7 +71,7 @@ def command(
     functions, any other motion by the latter.
     """
     from commissioning.cli import show
-    from commissioning.rig.measured import Rejected
+    from commissioning.rig.results import Rejected
     from commissioning.session.analyze import analyze
 
     check_json(json_target)

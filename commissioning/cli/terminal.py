@@ -19,6 +19,7 @@ from commissioning.desk import Desk, Options
 from commissioning.errors import DoesNotHelp
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
+from commissioning.result.readings import MethodName
 from drivers.home import home
 from drivers.link import axis_of
 from profiles.axis import Axis, load_axis
@@ -28,13 +29,7 @@ from profiles.plain import plain
 if TYPE_CHECKING:
     from commissioning.result.document import RunResult
 
-# spelt out here, so that --help imports no numbers; a test holds it to session.methods
-METHODS = (
-    "auto", "modulating", "lock-in", "two-relay", "two-relay-delay", "phase-locked", "all",
-)  # fmt: skip
-
 __all__ = [
-    "METHODS",
     "Job",
     "Screen",
     "act_on",
@@ -208,9 +203,8 @@ _JOB_OPTIONS = [
         help="Share of the friction to compensate; the offset is compensated whole.",
     ),
     click.option(
-        "--method", type=click.Choice(METHODS), default="auto", show_default=True,
-        help="auto: a dozen periods, or thirty where they are needed; modulating: a dozen; lock-in: exact "
-        "harmonic balance, no model; two-relay, two-relay-delay, phase-locked: the thesis; all: each.",
+        "--method", type=click.Choice([name.value for name in MethodName]), default="auto", show_default=True,
+        help="; ".join(f"{name}: {name.about}" for name in MethodName) + ".",
     ),
     click.option(
         "--solver", type=click.Choice(["bracket", "thesis"]), default="bracket", show_default=True,

@@ -3,18 +3,47 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from enum import StrEnum
+from typing import Self
 
 from commissioning.result.kinds import Count, Finite, Pair, Text
 
 __all__ = [
     "BalanceReading",
     "Law",
+    "MethodName",
     "Methods",
     "ModulatingReading",
     "Speed",
     "SteadyReading",
     "TwoRelayReading",
 ]
+
+
+class MethodName(StrEnum):
+    """The methods of an experiment; of those that read friction, the finest first.
+
+    Attributes
+    ----------
+    about : what it does, for help
+    """
+
+    about: str
+
+    AUTO = "auto", "a dozen periods, or thirty where they are needed"
+    MODULATING = "modulating", "a dozen periods"
+    LOCK_IN = "lock-in", "exact harmonic balance, no model"
+    TWO_RELAY = "two-relay", "the thesis, with hysteresis"
+    TWO_RELAY_DELAY = "two-relay-delay", "the thesis, with a delay"
+    PHASE_LOCKED = "phase-locked", "the thesis, with a sine"
+    ALL = "all", "each"
+
+    def __new__(cls, name: str, about: str) -> Self:
+        """A name that says what it stands for."""
+        one = str.__new__(cls, name)
+        one._value_ = name
+        one.about = about
+        return one
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,9 +21,9 @@ from commissioning.result.document import Quality, RunResult
 from commissioning.result.endings import AxisState
 from commissioning.result.experiment import Limits
 from commissioning.rig import preflight
-from commissioning.rig.measured import Rejected, experiment
-from commissioning.rig.measurement import Measurement
 from commissioning.rig.preflight import check_watchdog, choose_limits, look, writes
+from commissioning.rig.results import Rejected, experiment
+from commissioning.rig.rig import Rig
 from commissioning.runner import Recorder
 from commissioning.runs import RunFolder, Samples
 from commissioning.settings import Settings
@@ -34,7 +34,7 @@ from profiles.library import source_text
 
 __all__ = ["Failure", "Work", "in_a_run", "noted"]
 
-Work = Callable[[Measurement, RunResult], RunResult]
+Work = Callable[[Rig, RunResult], RunResult]
 
 
 class Failure(Exception):
@@ -123,9 +123,9 @@ def _begun(
         settings = Settings(desk.journal, run_id, drive)
         home = desk.journal.folder
         with guarded(drive, axis, folder.profile_path(), run_id, home) as guardian:
-            job = Measurement(axis, options, desk, drive, limits, recorder, settings, guardian)
+            rig = Rig.of(axis, options, desk, drive, limits, recorder, settings, guardian)
             try:
-                draft.result = replace(work(job, draft.result), status="completed")
+                draft.result = replace(work(rig, draft.result), status="completed")
             finally:
                 notes = (*notes, *noted(guardian))
     except TwoRelayError as error:

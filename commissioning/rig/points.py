@@ -18,7 +18,7 @@ from commissioning.identification.modulating import EXPLAINS
 from commissioning.identification.reading import Reader, by_balance
 from commissioning.identification.reasons import Reason, Weight
 from commissioning.identification.record import kinematics
-from commissioning.rig.methods import Measured, Rig, Wished
+from commissioning.rig.measured import Measured, Wished
 
 __all__ = ["TARGETS", "computed", "points"]
 
@@ -59,15 +59,15 @@ def computed(model: dict[str, Estimate | None], phase: float) -> Wished:
     return Wished(point, None, "not asked for")
 
 
-def points(measured: Measured, rig: Rig, *, move: bool) -> None:
+def points(measured: Measured, *, move: bool) -> None:
     """Put both points into `measured`; with `move` measure them. Says what is not there or not measured."""
     model = {name: measured.estimate(name) for name in ("inertia", "viscous", "dead_time")}
     for key, phase in TARGETS.items():
         wished = computed(model, phase)
         if wished.point is not None and move:
-            wished = _measured(wished.point, phase, measured, rig, model)
+            wished = _measured(wished.point, phase, measured, model)
         elif wished.point is not None:
-            _, travel, why_not = _wanted(wished.point, measured, rig)
+            _, travel, why_not = _wanted(wished.point, measured)
             wished = Wished(wished.point, travel, why_not or "not asked for")
         measured.points[key] = wished
         if wished.why_not and (move or (wished.point is None and model.get("inertia") is not None)):
@@ -85,22 +85,21 @@ def _measured(
     guess: CriticalPoint,
     phase: float,
     measured: Measured,
-    rig: Rig,
     model: dict[str, Estimate | None],
 ) -> Wished:
     """Oscillate at the guess' period, and again where the phase is not the wanted one."""
-    point, travel = guess, None
+    point, travel, context = guess, None, measured.ready.context
     found: CriticalPoint | None = None
     for _ in range(_TRIES):
-        wanted, travel, why_not = _wanted(point, measured, rig)
+        wanted, travel, why_not = _wanted(point, measured)
         if wanted is None:
             break
-        rig.context.tell(
+        context.tell(
             f"the plant at {phase:g}°: oscillation of ±{wanted.amplitude:.4g} "
-            f"{rig.context.effort_unit} at {wanted.period * 1000:.4g} ms"
+            f"{context.effort_unit} at {wanted.period * 1000:.4g} ms"
         )
         try:
-            read, settled = _read(wanted, measured, rig)
+            read, settled = _read(wanted, measured)
         except (MeasurementRejected, ValueError) as error:
             why_not = str(error)
             break
@@ -127,11 +126,10 @@ def _measured(
     return Wished(found, travel, "")
 
 
-def _wanted(
-    point: CriticalPoint, measured: Measured, rig: Rig
-) -> tuple[Wanted | None, float | None, str]:
+def _wanted(point: CriticalPoint, measured: Measured) -> tuple[Wanted | None, float | None, str]:
     """The oscillation, the travel that it takes, and why it cannot be had."""
-    context, plan, period = rig.context, rig.plan, point.period
+    ready, period = measured.ready, point.period
+    context, plan = ready.context, ready.design
     p = context.position_unit
     f = min(measured.found.coulomb.value, 0.9 * plan.d1)
     switching = f / plan.d1 + max(sin(radians(180 + point.phase_deg)), 0.0)
@@ -141,7 +139,7 @@ def _wanted(
     for d in (min(plan.d2, most), min(plan.d1, most)):
         half_swing = point.gain * 4 / pi * (d * d - f * f) / d
         peak = 8 * half_swing / period
-        travel = travel_needed(rig.stopping, half_swing, min(switching, 1.0), peak, most)
+        travel = travel_needed(ready.stopping, half_swing, min(switching, 1.0), peak, most)
         wanted = Wanted(period, d, half_swing, point.gain, bias, most)
         needs.append((travel, wanted, peak))
     travel = needs[-1][0]
@@ -162,12 +160,12 @@ def _wanted(
             )
         elif peak > _SPEED_SHARE * context.speed:
             why_not = f"that takes {peak:.3g} {p}/s, and {context.speed:.3g} {p}/s is allowed"
-        elif _PERIODS * period + _START > rig.time_left:
+        elif _PERIODS * period + _START > ready.time_left:
             why_not = (
-                f"that takes up to {_PERIODS * period + _START:.0f} s, and {rig.time_left:.0f} s are left of "
-                "--duration"
+                f"that takes up to {_PERIODS * period + _START:.0f} s, and "
+                f"{ready.time_left:.0f} s are left of --duration"
             )
-        elif rig.heat(wanted.amplitude, _PERIODS * period) > _HEAT_SHARE:
+        elif ready.heat(wanted.amplitude, _PERIODS * period) > _HEAT_SHARE:
             why_not = f"{_PERIODS * period:.3g} s of its torque would be too much for the motor"
         elif wanted.half_swing < _FEWEST_COUNTS * context.resolution:
             why_not = f"its half-swing would be {wanted.half_swing / context.resolution:.0f} encoder counts"
@@ -176,15 +174,16 @@ def _wanted(
     return None, travel, why_not
 
 
-def _read(wanted: Wanted, measured: Measured, rig: Rig) -> tuple[CriticalPoint, bool]:
+def _read(wanted: Wanted, measured: Measured) -> tuple[CriticalPoint, bool]:
     """Run the oscillation and read it, by the law that explains the axis or by the balance.
 
     Also whether it had settled.
     """
-    held, end = rig.attempt(oscillate_at(rig.context, rig.known, wanted))
+    ready = measured.ready
+    held, end = ready.attempt(oscillate_at(ready.context, ready.known, wanted))
     measured.periods += held.periods
     count = max(round((held.end - held.begin) / held.period - 0.2), 1)
-    record = rig.record(held.begin - held.period, end)
+    record = ready.record(held.begin - held.period, end)
     law, balance = measured.modulating, measured.lock_in
     if law is not None and law.held_out < EXPLAINS:
         return Reader(record, law, held.period).point(held.begin, held.period, count), held.settled

@@ -29,14 +29,12 @@ from commissioning.result.endings import AxisState
 from commissioning.result.experiment import Experiment
 from commissioning.result.found import QUANTITIES, Found, Quantity, Units
 from commissioning.result.readings import Methods
-from commissioning.rig.measured import (
+from commissioning.rig.readings import balance_reading, modulating_reading, steady_reading
+from commissioning.rig.results import (
     Rejected,
-    balance_reading,
     curve_of,
     judged,
-    modulating_reading,
     quantity,
-    steady_reading,
 )
 from profiles.axis import Axis, Mechanics
 from profiles.errors import UsageError

@@ -10,6 +10,7 @@ import numpy as np
 
 from commissioning.desk import Desk, Options
 from commissioning.errors import MeasurementRejected
+from commissioning.experiments.design import LONG
 from commissioning.identification.critical_point import (
     CriticalPoint,
     corrected,
@@ -20,18 +21,19 @@ from commissioning.identification.verdict import dwell_share, is_unsigned, of_to
 from commissioning.result.document import RunResult
 from commissioning.result.experiment import Bases, Experiment, FirstLook, Setup
 from commissioning.rig.armed import in_a_run
-from commissioning.rig.measured import (
+from commissioning.rig.measured import Measured
+from commissioning.rig.methods import methods_of, repeated
+from commissioning.rig.results import (
     critical_points,
     cycles,
     experiment,
     found_of,
     judged,
-    methods_of,
 )
-from commissioning.rig.measurement import Measurement
-from commissioning.rig.methods import PACE_IS_LONG, Measured
+from commissioning.rig.rig import Rig
 from commissioning.runner import Recorder
 from commissioning.session.proposal import with_proposal
+from drivers.sample import Sample
 from profiles.axis import Axis
 
 __all__ = ["identify"]
@@ -46,27 +48,25 @@ _LIMITED_SHARE, _MUCH_LIMITED = 0.002, 0.2  # of the cycles
 def identify(axis: Axis, options: Options, desk: Desk) -> RunResult:
     """Run the experiments on `axis`; raises Failure."""
 
-    def work(job: Measurement, result: RunResult) -> RunResult:
-        repeats = job.measure()
+    def work(rig: Rig, result: RunResult) -> RunResult:
+        repeats = rig.mover.within_settings(lambda: repeated(rig))
         try:
-            found = _measured(result, repeats, job, options)
+            found = _measured(result, repeats, rig)
         except ValueError as error:  # a limit cycle that no relay makes
             raise MeasurementRejected(f"the oscillations contradict themselves: {error}") from None
-        return with_proposal(found, job.drive, options.fraction)
+        return with_proposal(found, rig.drive, options.fraction)
 
     return in_a_run(axis, options, desk, work)
 
 
-def _measured(
-    result: RunResult, repeats: Sequence[Measured], job: Measurement, options: Options
-) -> RunResult:
+def _measured(result: RunResult, repeats: Sequence[Measured], rig: Rig) -> RunResult:
     """`result` with the numbers; raises Rejected where they cannot be trusted."""
-    drive, recorder, last = job.drive, job.recorder, repeats[-1]
+    drive, recorder, last = rig.drive, rig.recorder, repeats[-1]
     right, complex_coulomb = _right_point(last)
-    watched = experiment(recorder, drive.cycle, sum(one.periods for one in repeats), job.allowed)
+    watched = experiment(recorder, drive.cycle, sum(one.periods for one in repeats), rig.allowed)
     result = replace(
         result,
-        friction=found_of(repeats, result.units, job.as_the_drive_counts),
+        friction=found_of(repeats, result.units, rig.as_the_drive_counts),
         methods=methods_of(last),
         critical_point=critical_points(last, right),
         experiment=replace(
@@ -75,24 +75,24 @@ def _measured(
             complex_coulomb=(complex_coulomb.real, complex_coulomb.imag),
             tests=last.tests,
             repeats=tuple(one.found.coulomb.value for one in repeats),
-            setup=_setup(job),
+            setup=_setup(rig, last),
         ),
     )
-    reasons = [*_of_repeats(repeats), *_reasons(last, job, drive.cycle, options.method)]
+    reasons = [*_of_repeats(repeats), *_reasons(last, recorder.samples, drive.cycle)]
     return judged(result, [*_of_jitter(watched, reasons), *reasons])
 
 
-def _setup(job: Measurement) -> Setup:
-    known, scaling = job.known, job.drive.scaling
+def _setup(rig: Rig, measured: Measured) -> Setup:
+    known, scaling = measured.ready.known, rig.drive.scaling
     return Setup(
-        _turnaround(job.recorder),
-        job.context.resolution,
+        _turnaround(rig.recorder),
+        rig.context.resolution,
         Bases(scaling.rated_torque, scaling.increments_per_revolution, scaling.torque_constant),
         FirstLook(
             known.breakaway, known.coulomb, known.offset, known.viscous, known.inertia,
             known.dead_time,
         ),
-        job.loop_lag,
+        rig.loop_lag,
     )  # fmt: skip
 
 
@@ -137,17 +137,17 @@ def _right_point(measured: Measured) -> tuple[CriticalPoint | None, complex]:
     """The plant at the relay's own frequency, and the friction that puts the relay's locus on it."""
     point = measured.corrected
     if point is None:
-        balance = measured.two_relay or measured.two_relay_delay or measured.phase_locked
+        balance = measured.thesis
         if balance is None:  # nothing explains the record
             return None, 0j
         return corrected(measured.relay, balance.complex_coulomb), balance.complex_coulomb
     return point, friction_of(measured.relay, point)
 
 
-def _reasons(measured: Measured, job: Measurement, cycle: float, method: str) -> list[Reason]:
+def _reasons(measured: Measured, samples: list[Sample], cycle: float) -> list[Reason]:
     """What the raw samples and the drive say about the measurement."""
     reasons = []
-    relay, samples = measured.relay, job.recorder.samples
+    relay, known = measured.relay, measured.ready.known
     for name, text in (
         ("viscous", "viscous friction"), ("inertia", "inertia"), ("dead_time", "dead time"),
     ):  # fmt: skip
@@ -159,14 +159,14 @@ def _reasons(measured: Measured, job: Measurement, cycle: float, method: str) ->
                     f"{text} is not identifiable from this record: more travel or speed would show it",
                 )
             )
-    thesis = method in PACE_IS_LONG
-    if thesis and relay.period < _LEAST_PERIOD * job.known.dead_time:
+    thesis = measured.ready.pace is LONG
+    if thesis and relay.period < _LEAST_PERIOD * known.dead_time:
         reasons.append(
             Reason(
                 "period.short",
                 Weight.DOUBT,
                 f"the period of {relay.period * 1000:.3g} ms is short against the dead time of "
-                f"{job.known.dead_time * 1000:.3g} ms; more travel would allow a longer one",
+                f"{known.dead_time * 1000:.3g} ms; more travel would allow a longer one",
             )
         )
     cycles = relay.period / cycle
@@ -201,7 +201,7 @@ def _reasons(measured: Measured, job: Measurement, cycle: float, method: str) ->
         )
     reasons += of_torque(
         torque_gain(torque, command),
-        dwell_share(record, inertia.value if inertia else job.known.inertia, f),
+        dwell_share(record, inertia.value if inertia else known.inertia, f),
         relay.half_swing,
         record.resolution,
     )

@@ -19,9 +19,9 @@ from commissioning.identification.reasons import Reason, Weight
 from commissioning.result.document import Quality, RunResult
 from commissioning.result.found import Found
 from commissioning.rig.armed import in_a_run
-from commissioning.rig.measured import quantity
-from commissioning.rig.measurement import Measurement
 from commissioning.rig.preflight import CYCLES_A_WATCHDOG
+from commissioning.rig.results import quantity
+from commissioning.rig.rig import Rig
 from drivers.drive import GUARDS
 from drivers.errors import LinkError
 from profiles.axis import Axis
@@ -85,8 +85,8 @@ class Latency:
 def dead_time(axis: Axis, options: Options, desk: Desk) -> RunResult:
     """A run with the dead time by small torque steps, which move the axis; raises Failure."""
 
-    def work(job: Measurement, result: RunResult) -> RunResult:
-        record = job.torque_steps()
+    def work(rig: Rig, result: RunResult) -> RunResult:
+        record = rig.torque_steps()
         try:
             found = estimate(record, any_motion=True)
         except (ValueError, ArithmeticError) as error:

@@ -18,8 +18,8 @@ from commissioning.result.changes import Written
 from commissioning.result.document import RunResult
 from commissioning.result.worth import Trial, Verification
 from commissioning.rig.armed import noted
-from commissioning.rig.measurement import Measurement
 from commissioning.rig.preflight import check_watchdog, choose_limits, look
+from commissioning.rig.rig import Rig
 from commissioning.runner import Recorder
 from commissioning.session.named import axis_of_run, own_run
 from commissioning.session.storing import store, unverified
@@ -102,11 +102,9 @@ def verify(
                     drive, axis, folder.profile_path(), run_id, desk.journal.folder
                 ) as guardian:
                     recorder = Recorder(on_phase=desk.tell)
-                    job = Measurement(
-                        axis, options, desk, drive, room, recorder, settings, guardian
-                    )
+                    rig = Rig.of(axis, options, desk, drive, room, recorder, settings, guardian)
                     try:
-                        steps, kept = _with_steps(job, result, unproved=unproved)
+                        steps, kept = _with_steps(rig, result, unproved=unproved)
                     finally:
                         notes += noted(guardian)
             except TwoRelayError as error:
@@ -236,21 +234,19 @@ def _look(drive: Drive, axis: Axis, options: Options, desk: Desk, record: RunRec
     look(drive, axis)
 
 
-def _with_steps(
-    job: Measurement, result: RunResult, *, unproved: bool
-) -> tuple[list[_Step], _Step | None]:
+def _with_steps(rig: Rig, result: RunResult, *, unproved: bool) -> tuple[list[_Step], _Step | None]:
     """The steps in their order, and the one that stays."""
-    drive, journal, run = job.drive, job.desk.journal, job.settings.run
+    drive, journal, run = rig.drive, rig.desk.journal, rig.settings.run
     names = [change.parameter for change in result.compensation]
     was, had = {name: drive.read_raw(name) for name in names}, journal.memory(run)
     try:
-        steps, kept = job.within_settings(lambda: _raise(job, result))
-        final = _before(job, names, was) if kept is None else kept.raw
-        job.desk.interruption.check()  # the last moment at which nothing is decided yet
+        steps, kept = rig.mover.within_settings(lambda: _raise(rig, result))
+        final = _before(rig, names, was) if kept is None else kept.raw
+        rig.desk.interruption.check()  # the last moment at which nothing is decided yet
         # the experiment's settings are back, and are not stored with the rest
-        with job.desk.interruption.deferred():
-            with job.settings.exclusive_access():
-                _write(job, final)
+        with rig.desk.interruption.deferred():
+            with rig.settings.exclusive_access():
+                _write(rig, final)
             if not journal.history(run).has_stored(final):
                 others = [
                     intent
@@ -258,15 +254,15 @@ def _with_steps(
                     if intent.lasts and intent.parameter not in final
                 ]
                 lasts = kept is not None or bool(others)
-                store(drive, job.desk, run, final, STORED if lasts else RESTORED)
+                store(drive, rig.desk, run, final, STORED if lasts else RESTORED)
             if kept is None:
                 done = [i.seq for i in journal.intents(run, open_only=True) if i.parameter in final]
                 journal.settle(done, "restored")
             else:
-                _nothing_to_undo(job, final)
+                _nothing_to_undo(rig, final)
     except BaseException as error:
         if not unproved:
-            _go_back(job, was, error)
+            _go_back(rig, was, error)
             if journal.memory(run) != had and isinstance(error, TwoRelayError):
                 text = (
                     f"{error}; the drive's memory may hold what was to stay: 'tworelay restore {run}' puts "
@@ -277,52 +273,52 @@ def _with_steps(
     return steps, kept
 
 
-def _nothing_to_undo(job: Measurement, final: Raw) -> None:
+def _nothing_to_undo(rig: Rig, final: Raw) -> None:
     """What the drive had before the run as well needs no way back."""
-    intents = job.desk.journal.intents(job.settings.run, open_only=True)
+    intents = rig.desk.journal.intents(rig.settings.run, open_only=True)
     for name, raw in final.items():
         of_it = [intent for intent in intents if intent.parameter == name]
         if of_it and of_it[0].old == raw:
-            job.desk.journal.settle([intent.seq for intent in of_it], "restored")
+            rig.desk.journal.settle([intent.seq for intent in of_it], "restored")
 
 
-def _go_back(job: Measurement, was: Raw, error: BaseException) -> None:
+def _go_back(rig: Rig, was: Raw, error: BaseException) -> None:
     """The values from before into the drive again; what cannot be done is added to `error`."""
     try:
-        with job.desk.interruption.deferred(), job.settings.exclusive_access():
-            _write(job, was)
+        with rig.desk.interruption.deferred(), rig.settings.exclusive_access():
+            _write(rig, was)
     except TwoRelayError as second:
         text = (
             f"{error}; the compensation is not back as it was: {second}; 'tworelay restore "
-            f"{job.settings.run}' puts the old values back"
+            f"{rig.settings.run}' puts the old values back"
         )
         if isinstance(error, TwoRelayError):
             error.args = (text,)
 
 
-def _write(job: Measurement, raw: Raw) -> None:
+def _write(rig: Rig, raw: Raw) -> None:
     for name, value in raw.items():
-        job.settings.write("compensation", name, value)
+        rig.settings.write("compensation", name, value)
 
 
-def _before(job: Measurement, names: list[str], was: Raw) -> Raw:
+def _before(rig: Rig, names: list[str], was: Raw) -> Raw:
     """The values from before the run: the oldest that it has written over, else those that stood there."""
     oldest: Raw = {}
-    for intent in job.desk.journal.intents(job.settings.run, open_only=True):
+    for intent in rig.desk.journal.intents(rig.settings.run, open_only=True):
         oldest.setdefault(intent.parameter, intent.old)
     return {name: oldest.get(name, was[name]) for name in names}
 
 
-def _raise(job: Measurement, result: RunResult) -> tuple[list[_Step], _Step | None]:
+def _raise(rig: Rig, result: RunResult) -> tuple[list[_Step], _Step | None]:
     """Without, then half, then more; the last step without harm stays."""
-    desk, drive, found = job.desk, job.drive, result.friction
+    desk, drive, found = rig.desk, rig.drive, result.friction
     assert found.coulomb is not None
     offset = found.offset.value if found.offset else 0.0
-    rest = offset if job.axis.mechanics.held_by != "friction" else 0.0
+    rest = offset if rig.axis.mechanics.held_by != "friction" else 0.0
     inertia = found.inertia.value if found.inertia else None
-    path = path_for(job.context, found.coulomb.value, inertia)
+    path = path_for(rig.context, found.coulomb.value, inertia)
     new = {change.parameter: change.new_raw for change in result.compensation}
-    asked = desk.journal.run(job.settings.run).context.fraction or job.options.fraction
+    asked = desk.journal.run(rig.settings.run).context.fraction or rig.options.fraction
     verified = result.verification  # before: the run holds what stayed then
     goal = (verified.kept_fraction if verified else None) or asked
     sets = [(0.0, _share(drive, new, 0.0))]
@@ -337,15 +333,15 @@ def _raise(job: Measurement, result: RunResult) -> tuple[list[_Step], _Step | No
             else "without compensation"
         )
         with desk.interruption.deferred():
-            _write(job, raw)
-        job.prove_watchdog(rest)
-        step = _followed(job, path, fraction, raw)
+            _write(rig, raw)
+        rig.mover.prove_watchdog(rest)
+        step = _followed(rig, path, fraction, raw)
         steps.append(step)
-        desk.tell(_words(step, job.axis.position_unit))
+        desk.tell(_words(step, rig.axis.position_unit))
         if not fraction:
             continue
         before = steps[0].error
-        limit = _WORSE * (kept or steps[0]).error.reversal + _NOISE * job.context.resolution
+        limit = _WORSE * (kept or steps[0]).error.reversal + _NOISE * rig.context.resolution
         harm = step.error.reversal > limit
         if harm or (step.error.hunts and not before.hunts):
             break
@@ -374,13 +370,13 @@ def _share(drive: Drive, new: Raw, share: float) -> Raw:
     return found
 
 
-def _followed(job: Measurement, path: TrackingPath, fraction: float, raw: Raw) -> _Step:
-    samples = job.follow(path)
+def _followed(rig: Rig, path: TrackingPath, fraction: float, raw: Raw) -> _Step:
+    samples = rig.follow(path)
     command, position = _columns(samples.reversals)
     reversal, left = reversal_error(command, position, TURNS)
-    swing, hunts = at_rest(_columns(samples.rest)[1], job.context.resolution)
+    swing, hunts = at_rest(_columns(samples.rest)[1], rig.context.resolution)
     error = TrackingError(reversal, creeping(*_columns(samples.creep)), swing, hunts)
-    return _Step(fraction, raw, error, _trace(samples, command, left, job.context.start))
+    return _Step(fraction, raw, error, _trace(samples, command, left, rig.context.start))
 
 
 def _columns(samples: list[Sample]) -> tuple[Array, Array]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import deepcopy
+from dataclasses import fields
 from math import cos, pi, sin
 from typing import Any
 
@@ -395,8 +396,11 @@ def test_the_centring_is_a_pd_loop_a_sixth_as_fast_and_never_above_the_limit() -
     assert wave.torque(at(0.02, -1e4)) == pytest.approx(0.3 + 5.0)
 
 
-def test_the_command_line_and_the_session_know_the_same_methods() -> None:
-    from commissioning.cli.terminal import METHODS as OFFERED
+def test_every_method_has_its_name_its_reading_and_its_help() -> None:
+    from commissioning.result.readings import MethodName, Methods
     from commissioning.rig.methods import METHODS
 
-    assert OFFERED == METHODS
+    assert [method.name for method in METHODS] == list(MethodName)
+    read = {method.name.replace("-", "_") for method in METHODS if method.read is not None}
+    assert read | {"steady"} == {field.name for field in fields(Methods)}
+    assert all(name.about for name in MethodName)

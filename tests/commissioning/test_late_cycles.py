@@ -90,7 +90,7 @@ from pathlib import Path
 from commissioning import runner
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
-from commissioning.rig import measurement
+from commissioning.rig import mover
 from commissioning.desk import Desk, Options
 from commissioning.session.identify import identify
 from commissioning.session.verify import Wishes, verify
@@ -103,7 +103,7 @@ def run(*words, **named):
     finally:
         print(*sorted(set(sys.modules) - before))
 
-measurement.run = run
+mover.run = run
 with Journal(Path(sys.argv[1])) as journal, Interruption() as interruption:
     desk = Desk(journal, interruption, lambda text: None, lambda question, word: True)
     identify(axis_of("virtual://bench"), Options(cycle=0.004, method="all"), desk)

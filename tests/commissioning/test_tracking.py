@@ -11,7 +11,7 @@ from commissioning.envelope import Envelope
 from commissioning.errors import EnvelopeTripped, FeedbackReversed, MeasurementRejected
 from commissioning.experiments.plan import Context
 from commissioning.experiments.tracking import TrackingPath, track
-from commissioning.rig.measurement import Measurement
+from commissioning.rig.ready import Ready
 from drivers.sample import Sample, Status
 
 OK = Status(enabled=True, fault=False, stopping=False, limit=False, word=0x27)
@@ -62,6 +62,6 @@ def test_an_encoder_that_turned_is_not_tried_once_more(
     def fails(plan: Any) -> None:
         raise error
 
-    job = SimpleNamespace(run=fails, drive=SimpleNamespace(is_energised=lambda: False))
+    job = SimpleNamespace(run=fails, mover=SimpleNamespace(is_energised=False))
     with pytest.raises(becomes):
-        Measurement.attempt(job, None)  # type: ignore[arg-type]
+        Ready.attempt(job, None)  # type: ignore[arg-type]

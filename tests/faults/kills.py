@@ -24,7 +24,7 @@ from commissioning.identification.tracking import TrackingError
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from commissioning.rig.armed import Failure, in_a_run
-from commissioning.rig.measurement import Measurement
+from commissioning.rig.mover import Mover
 from commissioning.session import verify
 from commissioning.session.apply import apply
 from commissioning.session.commission import prove_and_store
@@ -229,12 +229,12 @@ def _prove_nothing() -> None:
     """A proof without motion, in which every step is better than the one before."""
     errors = itertools.count(10.0, -1.0)
 
-    def followed(job: Any, path: Any, fraction: float, raw: dict[str, int]) -> Any:
+    def followed(rig: Any, path: Any, fraction: float, raw: dict[str, int]) -> Any:
         error = TrackingError(next(errors), 0.0, 0.0, hunts=False)
         return verify._Step(fraction, raw, error, np.zeros((3, 0)))
 
     verify._followed = followed
-    Measurement.prove_watchdog = lambda job, rest: None  # type: ignore[method-assign, assignment]
+    Mover.prove_watchdog = lambda job, rest: None  # type: ignore[method-assign, assignment]
 
 
 class _Counted:

@@ -6,13 +6,15 @@ from pathlib import Path
 
 from commissioning.desk import Desk, Options
 from commissioning.experiments.approach import approach
+from commissioning.experiments.design import SHORT
 from commissioning.experiments.oscillations import Oscillations, Stretch, oscillations
 from commissioning.experiments.plan import Plan
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from commissioning.result.document import RunResult
 from commissioning.rig.armed import Failure, in_a_run
-from commissioning.rig.measurement import Measurement
+from commissioning.rig.ready import Ready
+from commissioning.rig.rig import Rig as Bench
 from commissioning.session.identify import identify
 from commissioning.session.restore import restore
 from drivers.link import open_can, open_drive, parse
@@ -40,21 +42,24 @@ def ways(answered: list[bool]) -> list[tuple[int, Way]]:
     ]
 
 
-def short(job: Measurement, result: RunResult) -> RunResult:
+def short(rig: Bench, result: RunResult) -> RunResult:
     """Every phase of a measurement in less than 300 cycles, and nothing evaluated."""
 
-    def plan() -> Plan[Oscillations]:
-        sample = yield job.known.offset
-        yield from approach(job.context, sample.position + 0.025 * _TRAVEL, job.known)
+    def plan(ready: Ready) -> Plan[Oscillations]:
+        sample = yield ready.known.offset
+        begin = sample.position + 0.025 * _TRAVEL
+        yield from approach(ready.context, begin, ready.known)
         return (
-            yield from oscillations(job.context, job.plan, job.known, 2, (Stretch(2, 1, 1),))
-        )  # fmt: skip
+            yield from oscillations(
+                ready.context, ready.design, ready.known, 2, (Stretch(2, 1, 1),)
+            )
+        )
 
     def work() -> None:
-        job.prepare()
-        job.run(plan())
+        ready = rig.prepare(SHORT)
+        ready.run(plan(ready))
 
-    job.within_settings(work)
+    rig.mover.within_settings(work)
     return result
 
 

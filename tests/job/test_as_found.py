@@ -17,7 +17,8 @@ from markupsafe import escape
 from commissioning.errors import Interrupted
 from commissioning.journal import RESTORED, STORED, STORING, Journal
 from commissioning.records import UP_TO
-from commissioning.rig.measurement import Measurement
+from commissioning.rig.mover import Mover
+from commissioning.rig.rig import Rig
 from drivers.errors import DriveFault, LinkLost, WriteDenied, WriteFailed
 from drivers.home import home
 from drivers.link import axis_of, open_drive
@@ -80,13 +81,13 @@ def test_what_is_proved_is_stored_once_and_not_before(
     link: str, tworelay: Tworelay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[tuple[dict[str, int], list[str]]] = []
-    follow = Measurement.follow
+    follow = Rig.follow
 
-    def watched(job: Measurement, path: Any) -> Any:
+    def watched(job: Rig, path: Any) -> Any:
         seen.append((stored(tmp_path), events()))
         return follow(job, path)
 
-    monkeypatch.setattr(Measurement, "follow", watched)
+    monkeypatch.setattr(Rig, "follow", watched)
     done = tworelay("commission", link, *ASKED)
     assert done.returncode == 0, done.stderr
     assert seen
@@ -100,9 +101,9 @@ def test_what_is_proved_is_stored_once_and_not_before(
 
 def failing(error: BaseException, after: int) -> Callable[..., Any]:
     """A proof that ends by an error after some steps."""
-    follow, count = Measurement.follow, []
+    follow, count = Rig.follow, []
 
-    def fails(job: Measurement, path: Any) -> Any:
+    def fails(job: Rig, path: Any) -> Any:
         count.append(job)
         if len(count) > after:
             raise error
@@ -126,7 +127,7 @@ def test_what_is_not_proved_does_not_stay(
     link: str, tworelay: Tworelay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     error: Exception, code: int, after: int,
 ) -> None:  # fmt: skip
-    monkeypatch.setattr(Measurement, "follow", failing(error, after))
+    monkeypatch.setattr(Rig, "follow", failing(error, after))
     done = tworelay("commission", link, *ASKED, "--json", str(tmp_path / "run.json"))
     assert done.returncode == code
     (line,) = done.stderr.strip().splitlines()
@@ -150,7 +151,7 @@ def test_what_cannot_be_put_back_is_named_and_can_be_restored_later(
     link: str, tworelay: Tworelay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as broken:
-        broken.setattr(Measurement, "follow", failing(LinkLost("the link is lost"), 1))
+        broken.setattr(Rig, "follow", failing(LinkLost("the link is lost"), 1))
         write = ProfiledDrive.write_raw
         gone: list[bool] = []
 
@@ -181,7 +182,7 @@ def test_only_what_is_not_back_is_named_and_counts_as_written(
     link: str, tworelay: Tworelay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as broken:
-        broken.setattr(Measurement, "follow", failing(DriveFault("it tripped"), 1))
+        broken.setattr(Rig, "follow", failing(DriveFault("it tripped"), 1))
         write = ProfiledDrive.write_raw
 
         def refuses(drive: ProfiledDrive, name: str, raw: int) -> None:
@@ -209,7 +210,7 @@ def test_a_ctrl_c_while_the_drive_is_put_back_hides_nothing(
         if (name, raw) == ("coulomb_positive", FOUND["coulomb_positive"]):
             os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(Measurement, "follow", failing(DriveFault("it tripped"), 1))
+    monkeypatch.setattr(Rig, "follow", failing(DriveFault("it tripped"), 1))
     monkeypatch.setattr(ProfiledDrive, "write_raw", pressed)
     done = tworelay("commission", link, *ASKED)
     assert done.returncode == 5
@@ -478,9 +479,9 @@ def test_a_ctrl_c_while_a_fault_is_cleared_is_not_lost(
     link: str, tworelay: Tworelay, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     """It came at the end of the last step: the job stored, and ended with 0."""
-    clear, seen = Measurement._clear_own_fault, []
+    clear, seen = Mover.clear_own_fault, []
 
-    def pressed(job: Measurement) -> None:
+    def pressed(job: Mover) -> None:
         seen.append(True)
         if len(seen) == (
             2 if command == "identify" else 3
@@ -488,7 +489,7 @@ def test_a_ctrl_c_while_a_fault_is_cleared_is_not_lost(
             os.kill(os.getpid(), signal.SIGINT)
         clear(job)
 
-    monkeypatch.setattr(Measurement, "_clear_own_fault", pressed)
+    monkeypatch.setattr(Mover, "clear_own_fault", pressed)
     done = tworelay(command, link, *ASKED)
     assert done.returncode == 130, done.stdout
     assert "interrupted by SIGINT" in done.stderr

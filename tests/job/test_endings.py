@@ -15,7 +15,7 @@ import jsonschema
 import pytest
 
 from commissioning.journal import Journal
-from commissioning.rig.measurement import Measurement
+from commissioning.rig.rig import Rig
 from commissioning.runs import RunFolder
 from commissioning.session import verify
 from drivers.errors import LinkLost, WriteDenied, WriteFailed
@@ -366,9 +366,9 @@ def test_trial_values_are_not_said_to_be_stored(
 ) -> None:
     assert tworelay("identify", link, *BASE).returncode == 0
     assert tworelay("apply", "last", "--yes").returncode == 0
-    follow, steps = Measurement.follow, []
+    follow, steps = Rig.follow, []
 
-    def lost(job: Measurement, path: Any) -> Any:
+    def lost(job: Rig, path: Any) -> Any:
         steps.append(kept()["ending"])
         if len(steps) == 2:
             job.drive._bus.close()  # type: ignore[attr-defined]
@@ -376,7 +376,7 @@ def test_trial_values_are_not_said_to_be_stored(
         return follow(job, path)
 
     with monkeypatch.context() as broken:
-        broken.setattr(Measurement, "follow", lost)
+        broken.setattr(Rig, "follow", lost)
         done = tworelay("verify", "last", "--yes", "--cycle", "0.004")
     assert done.returncode == 4
     assert steps == [None, None], "a run that is killed now has no ending that is not true"

@@ -1,0 +1,156 @@
+"""An axis that is ready for its oscillations: first motions done, stop path proved, design chosen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from commissioning.desk import Options
+from commissioning.envelope import Envelope
+from commissioning.errors import EnvelopeTripped, FeedbackReversed, MeasurementRejected
+from commissioning.experiments.design import Pace, RelayDesign, design
+from commissioning.experiments.first_look import FirstLook
+from commissioning.experiments.plan import Context, Plan
+from commissioning.experiments.stopping import Stopping
+from commissioning.identification.modulating import ModulatingEstimate
+from commissioning.identification.record import Record, unfiltered
+from commissioning.identification.verdict import Units
+from commissioning.rig.mover import Mover
+from drivers.errors import PreflightRefused
+from drivers.sample import Sample
+
+__all__ = ["Ready", "record_of"]
+
+T = TypeVar("T")
+
+_SOUND = 0.35, 0.72  # f/d1 of well-conditioned oscillations
+_KNOWN = 0.3  # relative half-width of f up to which it is worth a new design
+_CHANGED = 0.87  # of d1: a smaller change is none
+_STALL = 1.5  # cycles
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """What the methods work on.
+
+    Attributes
+    ----------
+    known : what the first motions, or a first record, have shown
+    stopping : what braking is certain
+    pace : of the oscillations
+    design : the oscillations, for this axis
+    duration : s, of the whole experiment
+    """
+
+    mover: Mover
+    options: Options
+    context: Context
+    units: Units
+    envelope: Envelope
+    known: FirstLook
+    stopping: Stopping
+    pace: Pace
+    design: RelayDesign
+    duration: float
+
+    @classmethod
+    def of(
+        cls,
+        mover: Mover,
+        options: Options,
+        context: Context,
+        units: Units,
+        envelope: Envelope,
+        known: FirstLook,
+        stopping: Stopping,
+        pace: Pace,
+    ) -> Ready:
+        """Choose the oscillations, and what the envelope must allow for them.
+
+        Raises MeasurementRejected, PreflightRefused where none fits.
+        """
+        chosen = design(context, known, stopping, pace)
+        envelope = replace(envelope, cautious=False, stopping=stopping, relay_torque=chosen.most)
+        return cls(
+            mover, options, context, units, envelope, known, stopping, pace, chosen,
+            envelope.duration,
+        )  # fmt: skip
+
+    def redesigned(self, found: ModulatingEstimate) -> Ready | None:
+        """With oscillations by what a first record tells; None: they were right."""
+        f, before = found.coulomb.value, self.design
+        if not 0 < f < self.context.torque or found.coulomb.half_width > _KNOWN:
+            return None
+        if not found.inertia.value > 0 or _SOUND[0] <= f / before.d1 <= _SOUND[1]:
+            return None
+        known = replace(
+            self.known,
+            coulomb=f,
+            breakaway=max(f, found.low_speed),
+            inertia=found.inertia.value,
+            viscous=max(found.viscous.value, 0.0),
+        )
+        try:
+            again = Ready.of(
+                self.mover, self.options, self.context, self.units, self.envelope, known,
+                self.stopping, self.pace,
+            )  # fmt: skip
+        except (MeasurementRejected, PreflightRefused):
+            return None
+        d1, d2 = again.design.d1, again.design.d2
+        if d1 >= _CHANGED * before.d1 and d1 * _CHANGED <= before.d1:
+            return None
+        e = self.units.effort
+        self.context.tell(
+            f"the friction is about {f:.3g} {e}: again with ±{d1:.4g} and ±{d2:.4g} {e}"
+        )
+        return again
+
+    def run(self, plan: Plan[T]) -> T:
+        """Drive a plan to its end, from and to the torque that balances the axis."""
+        return self.mover.move(plan, self.envelope, self.known.offset)
+
+    def attempt(self, plan: Plan[T]) -> T:
+        """The same for what need not be: a limit that ends it rejects it, once the axis is safe."""
+        try:
+            return self.run(plan)
+        except EnvelopeTripped as error:
+            if isinstance(error, FeedbackReversed) or self.mover.is_energised:
+                raise
+            raise MeasurementRejected(str(error)) from None
+
+    @property
+    def time_left(self) -> float:
+        """Of the duration that is allowed, s."""
+        return self.duration - self.mover.spent
+
+    def heat(self, torque: float, seconds: float) -> float:
+        """Share of the i²t budget in use after ± a torque (N.m or N) about the bias for `seconds`."""
+        more = torque**2 + self.known.offset**2 - self.envelope.rated**2
+        return (self.mover.heat_left() + max(more, 0.0) * seconds) / self.envelope.thermal
+
+    def record(self, begin: float, end: float) -> Record:
+        """What was recorded between two instants (s), a filter in the position signal undone."""
+        # commands before the record act in it, too
+        early = begin - self.design.period
+        cut = [s for s in self.mover.recorder.samples if early <= s.time <= end]
+        # a host that stalls within an exchange stamps it wrongly; the next one's lateness shows it
+        stall = _STALL * self.context.cycle
+        kept = [
+            s for s, after in zip(cut, [*cut[1:], cut[-1]], strict=True) if after.lateness <= stall
+        ]
+        whole = record_of(kept, cut, self.context.resolution)
+        if self.options.output_filter:
+            whole = unfiltered(whole, self.options.output_filter)
+        return whole.between(begin, end)
+
+
+def record_of(seen: list[Sample], commanded: list[Sample], resolution: float) -> Record:
+    """Positions of the samples that are trusted, and every command."""
+    return Record.of(
+        [s.time for s in seen],
+        [s.position for s in seen],
+        [s.sent for s in commanded],
+        [s.command for s in commanded],
+        resolution,
+    )

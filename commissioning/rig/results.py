@@ -1,0 +1,191 @@
+"""What was measured, as parts of a result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from commissioning.errors import MeasurementRejected
+from commissioning.identification.critical_point import CriticalPoint, hysteresis_only, naive
+from commissioning.identification.estimate import Estimate
+from commissioning.identification.modulating import ModulatingEstimate
+from commissioning.identification.reasons import Reason, Weight, verdict, weightiest_first
+from commissioning.identification.steady import SteadyFit
+from commissioning.result.document import Quality, RunResult
+from commissioning.result.experiment import Cycle, Experiment, Limits
+from commissioning.result.found import (
+    QUANTITIES,
+    CriticalPoints,
+    Curve,
+    Found,
+    Point,
+    Quantity,
+    Units,
+)
+from commissioning.runner import Recorder
+
+if TYPE_CHECKING:
+    from commissioning.rig.measured import Measured, Oscillation, Wished
+
+__all__ = [
+    "Rejected",
+    "critical_points",
+    "curve_of",
+    "cycles",
+    "experiment",
+    "found_of",
+    "judged",
+    "quantity",
+]
+
+_SPEEDS = 40  # points of a friction curve
+_SLOWEST = 0.002  # of its fastest speed
+Raw = Callable[[str, float], tuple[float | None, str | None]]  # name, SI → as the drive counts
+
+
+class Rejected(MeasurementRejected):
+    """Numbers that cannot be trusted, with the result as far as it got."""
+
+    def __init__(self, message: str, result: RunResult) -> None:
+        super().__init__(message)
+        self.result = result
+
+
+def judged(result: RunResult, reasons: Sequence[Reason]) -> RunResult:
+    """`result` with its verdict, the weightiest reason first; raises Rejected, without any friction."""
+    ordered = weightiest_first(reasons)
+    result = replace(result, quality=Quality(verdict(ordered), tuple(ordered)))
+    if result.quality.verdict == "rejected":
+        worst = [r.text for r in ordered if r.weight is Weight.CONTRADICTION]
+        raise Rejected("; ".join(worst), replace(result, friction=Found(), critical_point=None))
+    return result
+
+
+# -- numbers ----------------------------------------------------------------------------------------
+
+
+def quantity(
+    estimate: Estimate, unit: str, raw: tuple[float | None, str | None] = (None, None)
+) -> Quantity:
+    """One number with its interval; `raw`: as the drive counts, and what it counts in."""
+    return Quantity(estimate.value, estimate.low, estimate.high, unit, *raw)
+
+
+def found_of(repeats: Sequence[Measured], units: Units, raw: Raw) -> Found:
+    """The numbers of a measurement: of repeats the mean, and what they scatter by."""
+    numbers = {}
+    for name in QUANTITIES:
+        estimates = [one.estimate(name) for one in repeats]
+        known = [estimate for estimate in estimates if estimate is not None]
+        if len(known) == len(repeats):
+            mean = _mean(known)
+            numbers[name] = quantity(mean, units.of_quantity(name), raw(name, mean.value))
+    fits = [one.modulating for one in repeats if one.modulating is not None]
+    curve = low_speed = None
+    if len(fits) == len(repeats):
+        curve = curve_of(fits, fits[-1].peak_speed)
+        value = float(np.mean([fit.low_speed for fit in fits]))
+        low_speed = Quantity(value, None, None, units.effort, *raw("coulomb", value))
+    return Found(repeats[-1].method, **numbers, low_speed=low_speed, curve=curve)
+
+
+def _mean(estimates: Sequence[Estimate]) -> Estimate:
+    """Mean of repeats; its interval holds theirs and the scatter."""
+    if len(estimates) == 1:
+        return estimates[0]
+    from scipy.stats import t
+
+    values = [one.value for one in estimates]
+    half = float(t.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / len(values) ** 0.5)
+    mean = float(np.mean(values))
+    low, high = min(one.low for one in estimates), max(one.high for one in estimates)
+    return Estimate(mean, min(low, mean - half), max(high, mean + half))
+
+
+def curve_of(fits: Sequence[ModulatingEstimate | SteadyFit], fastest: float) -> Curve:
+    """Friction against speed up to `fastest`, by the law that was found; the mean of several."""
+    speed = np.geomspace(_SLOWEST, 1, _SPEEDS) * fastest
+    level = np.mean([fit.curve(speed) for fit in fits], axis=0)
+    return Curve(tuple(speed.tolist()), tuple(level.tolist()))
+
+
+# -- the plant --------------------------------------------------------------------------------------
+
+
+def critical_points(measured: Measured, right: CriticalPoint | None) -> CriticalPoints:
+    """The readings at the relay's own frequency (`right`: the corrected one), and the points wanted."""
+    return CriticalPoints(
+        _point(naive(measured.relay)),
+        _point(hysteresis_only(measured.relay)),
+        _point(right),
+        _point(measured.second),
+        **{key: _wished(wished) for key, wished in measured.points.items()},
+    )
+
+
+def _wished(wished: Wished) -> Point | None:
+    found = _point(wished.point)
+    return found and replace(found, travel_needed=wished.travel)
+
+
+def _point(point: CriticalPoint | None) -> Point | None:
+    if point is None:
+        return None
+    gain, phase = point.gain_error, point.phase_error
+    return Point(
+        point.gain,
+        point.phase_deg,
+        point.period,
+        point.ku,
+        "measured" if point.measured else "computed",
+        None if gain is None else point.gain * max(1 - gain, 0.0),
+        None if gain is None else point.gain * (1 + gain),
+        None if phase is None else point.phase_deg - phase,
+        None if phase is None else point.phase_deg + phase,
+    )
+
+
+# -- the experiment ---------------------------------------------------------------------------------
+
+
+def cycles(shown: Sequence[Oscillation], begin: float) -> tuple[Cycle, ...]:
+    """The oscillations that the report shows; `begin`: of the record, s."""
+    names = (
+        "relay_amplitude", "hysteresis", "bias", "half_swing", "fundamental", "duty", "periods",
+        "settled",
+    )  # fmt: skip
+    return tuple(
+        Cycle(
+            one.name,
+            one.cycle.period,
+            one.span[0] - begin,
+            one.span[1] - begin,
+            **{
+                name: None if (value := getattr(one.cycle, name)) != value else value
+                for name in names
+            },
+        )
+        for one in shown
+    )
+
+
+def experiment(recorder: Recorder, cycle: float, periods: int, limits: Limits) -> Experiment:
+    """How long and how regularly the axis was watched, by what was recorded."""
+    samples = recorder.samples
+    if not samples:
+        return Experiment(0, 0.0, cycle, 0.0, 0.0, 0.0, limits)
+    positions = [s.position for s in samples]
+    late = sum(s.lateness > 0.5 * cycle for s in samples)
+    lost = sum(s.missed for s in samples)
+    return Experiment(
+        periods,
+        samples[-1].time - samples[0].sent,
+        cycle,
+        late / len(samples),
+        lost / (len(samples) + lost),
+        max(positions) - min(positions),
+        limits,
+    )

@@ -175,10 +175,10 @@ def sweep(outcome: Outcome, link: str, axis: VirtualAxis, truth: dict[str, float
     drive = open_drive(virtual.model_copy(update={"limits": limits}), cycle=outcome.cycle)
     points, samples = [], []
     try:
-        for name, raw in drive.watchdog_settings().items():
-            drive.write_raw(name, raw)
+        for name, raw in drive.preparation.watchdog().items():
+            drive.write(name, raw)
         drive.enable(Mode.POSITION, 0.0)
-        goal = drive.read("position_actual")
+        goal = drive.read("position_actual").si
         top = 0.25 * min(axis.speed, 4 * ROOM[axis.name])
         for share in (0.1, 0.2, 0.4, 0.6, 0.8, 1.0):
             for direction in (1, -1):

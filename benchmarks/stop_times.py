@@ -145,7 +145,7 @@ def _observe(link: str) -> None:
     drive = open_drive(Axis(link=link, profile="virtual-modbus"))
     print("ready", flush=True)
     while not ended.is_set():
-        word, velocity = drive.read_raw("statusword"), drive.read_raw("velocity_actual")
+        word, velocity = drive.read("statusword").raw, drive.read("velocity_actual").raw
         print(f"{time.perf_counter():.6f} {word} {velocity}", flush=True)
         time.sleep(0.001)
     drive.close()
@@ -225,10 +225,10 @@ def _once(wire: str, drive_link: str, look_link: str, cause: str, draw: random.R
     try:
         drive = open_drive(axis, cycle=_CYCLE, trace=stop.trace)
         try:
-            if drive.in_fault():
+            if drive.state().in_fault:
                 drive.reset_fault()
-            for name, raw in drive.watchdog_settings().items():
-                drive.write_raw(name, 0 if cause == SILENT and name == "watchdog_time" else raw)
+            for name, raw in drive.preparation.watchdog().items():
+                drive.write(name, 0 if cause == SILENT and name == "watchdog_time" else raw)
             with (
                 tempfile.TemporaryDirectory() as home,
                 _guarded(drive, axis, Path(home), cause) as guardian,

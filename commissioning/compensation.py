@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from commissioning.result.changes import Change, Host
 from commissioning.result.found import Found
+from drivers.described import Described, Parameters
 from drivers.errors import WriteFailed
-from drivers.scaling import Scaling
-from profiles.parameter import Unit
-from profiles.schema import Profile
+from drivers.writing import why_not_written
+from profiles.law import Amount, Compensation, Wanted
 
 __all__ = ["host_terms", "propose"]
 
@@ -16,8 +16,8 @@ _LEAST_TRUST = 0.3  # relative half-width above which viscous friction is not wr
 
 
 def propose(
-    profile: Profile,
-    scaling: Scaling,
+    law: Compensation,
+    parameters: Parameters,
     found: Found,
     old_raw: dict[str, int],
     fraction: float = DEFAULT_FRACTION,
@@ -33,83 +33,45 @@ def propose(
     WriteFailed
         A value lies outside the drive's range.
     """
-    law = profile.compensation
-    share = f"{fraction * 100:g} %"
-    wanted: dict[str, tuple[float, str]] = {}
     if not law.terms or found.coulomb is None:
         return []
-    friction = fraction * found.coulomb.value
-    if law.offset is not None and found.offset is not None:
-        wanted[law.offset] = (
-            found.offset.value,
-            "the whole offset (load, and friction's asymmetry)",
-        )
-    if law.positive is not None and law.negative is not None:
-        wanted[law.positive] = (friction, f"{share} of the Coulomb friction")
-        wanted[law.negative] = (law.negative_sign * friction, f"{share} of the Coulomb friction")
-    if law.gain is not None:
-        wanted[law.gain] = (friction, f"{share} of the Coulomb friction")
-    if (
-        law.viscous is not None
-        and found.viscous is not None
-        and found.viscous.half_width <= _LEAST_TRUST
-    ):
-        wanted[law.viscous] = (
-            fraction * max(found.viscous.value, 0.0),
-            f"{share} of the viscous friction",
-        )
-    viscous = fraction * max(found.viscous.value, 0.0) if found.viscous else 0.0
-    for point in law.table:
-        speed = point.at * scaling.step_of(Unit.SPEED)
-        wanted[point.speed] = (speed, "speed of a point of the table")
-        wanted[point.torque] = (
-            friction + viscous * speed,
-            f"{share} of the friction at that speed",
-        )
-    if law.points is not None:
-        wanted[law.points] = (float(len(law.table)), "points of the table")
+    viscous, offset = found.viscous, found.offset
+    known = viscous is not None and (bool(law.table) or viscous.half_width <= _LEAST_TRUST)
+    amount = Amount(
+        fraction * found.coulomb.value,
+        offset.value if offset else None,
+        fraction * max(viscous.value, 0.0) if viscous and known else None,
+        f"{fraction * 100:g} %",
+        parameters.motor_speed,
+    )
     return [
-        _change(profile, scaling, name, value, old_raw[name], why)
-        for name, (value, why) in wanted.items()
+        _change(parameters[name], wanted, old_raw[name])
+        for name, wanted in law.values(amount).items()
     ]
 
 
 def host_terms(
-    profile: Profile, scaling: Scaling, found: Found, fraction: float = DEFAULT_FRACTION
+    law: Compensation, parameters: Parameters, found: Found, fraction: float = DEFAULT_FRACTION
 ) -> Host | None:
-    """What the master of a drive without a compensation of its own adds; None: that is not this drive."""
-    name = profile.compensation.host
-    if name is None or found.coulomb is None:
+    """What the master of a drive without a compensation of its own adds; None: not this drive."""
+    if law.host is None or found.coulomb is None:
         return None
-    parameter = profile.parameters[name]
+    what = parameters[law.host]
     offset = found.offset.value if found.offset else 0.0
     coulomb = fraction * found.coulomb.value
     return Host(
-        name, str(parameter.address), offset, coulomb, scaling.unit_text(parameter),
-        scaling.to_raw(parameter, offset), scaling.to_raw(parameter, coulomb), scaling.raw_unit(parameter),
+        what.name, what.address, offset, coulomb, what.unit, what.raw(offset), what.raw(coulomb),
+        what.raw_unit,
     )  # fmt: skip
 
 
-def _change(
-    profile: Profile, scaling: Scaling, name: str, value: float, old: int, why: str
-) -> Change:
-    parameter = profile.parameters[name]
-    raw = scaling.checked_raw(name, parameter, value)
-    step = abs(parameter.number(raw) - parameter.number(old))
-    if parameter.largest_step is not None and step > parameter.largest_step:
-        raise WriteFailed(
-            f"'{name}': the step from {old} to {raw} is larger than the {parameter.largest_step} "
-            f"that profile '{profile.name}' allows at once; nothing was written"
-        )
-    held = scaling.to_si(parameter, raw)
+def _change(what: Described, wanted: Wanted, old: int) -> Change:
+    raw = what.checked_raw(wanted.value)
+    refused = why_not_written(what, raw, old=old)
+    if refused is not None and refused.code == "write.step":
+        raise WriteFailed(refused.text)
+    held = what.si(raw)
     return Change(
-        name,
-        held,
-        scaling.unit_text(parameter),
-        held - value,
-        raw,
-        scaling.raw_unit(parameter),
-        scaling.to_si(parameter, old),
-        old,
-        why,
-    )
+        what.name, held, what.unit, held - wanted.value, raw, what.raw_unit, what.si(old), old,
+        wanted.why,
+    )  # fmt: skip

@@ -21,6 +21,7 @@ from profiles.axis import Axis
 from profiles.errors import IdentityMismatch, Refused
 from profiles.identity import Identity
 from profiles.library import digest
+from profiles.schema import Profile
 
 __all__ = ["Desk", "Options", "begin_run", "connect", "none_unfinished", "same_drive"]
 
@@ -82,16 +83,22 @@ class Desk:
 
 def begin_run(desk: Desk, drive: Drive, identity: Identity, axis: Axis, fraction: float) -> str:
     """Open a run of the journal on a connected drive; return its id."""
+    profile = drive.profile
     run = desk.journal.begin(
         axis=axis.name,
         link=drive.link,
-        profile=drive.profile.name,
-        profile_hash=digest(drive.profile),
+        profile=profile.name,
+        profile_hash=digest(profile),
         serial=identity.serial,
         context=Context(axis.model_dump_json(), fraction, **this_process()),
     )
     announce(f"run {run}")
     return run
+
+
+def drive_line(identity: Identity, profile: Profile) -> str:
+    """Which drive it is, and by which profile, for people."""
+    return f"drive: {identity}; profile {profile.name} {profile.version}"
 
 
 def none_unfinished(desk: Desk, serial: str, link: str) -> None:

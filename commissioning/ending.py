@@ -81,7 +81,7 @@ def on_drive(
 def axis_state(drive: Drive, axis: Axis) -> AxisState:
     """What a drive that was commanded says of its axis now."""
     try:
-        return stopped_state(axis, deenergised=not drive.is_energised())
+        return stopped_state(axis, deenergised=not drive.state().is_energised)
     except TwoRelayError:
         return AxisState.NOT_VERIFIED
 
@@ -121,7 +121,9 @@ def failed(result: RunResult, error: TwoRelayError) -> RunResult:
 
 def erring(result: RunResult, error: TwoRelayError) -> RunResult:
     """The result of an act on a run that ended with `error`."""
-    said = Error(error.code, str(error), error.hint, dict(error.numbers))
+    numbers = {name: fact for name, fact in error.facts.items() if not isinstance(fact, str)}
+    names = {name: fact for name, fact in error.facts.items() if isinstance(fact, str)}
+    said = Error(error.code, str(error), error.hint, numbers, names)
     return replace(result, status=error.status, error=said)
 
 

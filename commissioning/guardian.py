@@ -176,7 +176,7 @@ def _started(
     drive: Drive, axis: Axis, profile: Path, run: str, home: Path, stack: contextlib.ExitStack
 ) -> Guardian:
     """The guardian, dismissed with `stack`; raises OSError, RuntimeError."""
-    frames = drive.stop_frames()
+    frames = drive.line.stop_frames()
     there = axis.model_copy(update={"link": drive.link, "profile": str(profile)})
     order = {
         "axis": there.model_dump(mode="json"),
@@ -214,19 +214,19 @@ def _lending(
     order |= {
         "port": [port.device, port.baudrate, port.parity, port.stopbits], "token": token,
     }  # fmt: skip
-    drive.speak_through(None)
+    drive.line.speak_through(None)
     guardian = Guardian()
     try:
         process, place = _process(order)
         guardian = Guardian(process)
         lent = LentPort(_link(int(place), token), port, patience)
         guardian.reclaim = lent.reclaim
-        drive.speak_through(lent)
+        drive.line.speak_through(lent)
         yield guardian
     except BaseException:
         _take_back(drive, port, guardian, patience)
         with contextlib.suppress(TwoRelayError):
-            if drive.is_energised():  # the guardian hung, and with it the way to stop
+            if drive.state().is_energised:  # the guardian hung, and with it the way to stop
                 drive.stop()
         raise
     else:
@@ -236,9 +236,9 @@ def _lending(
 def _take_back(drive: Drive, port: SerialPort, guardian: Guardian, patience: float) -> None:
     """The guardian's port is the loop's again."""
     guardian.dismiss()
-    drive.speak_through(None)
+    drive.line.speak_through(None)
     with contextlib.suppress(OSError):  # a port that is gone shows at the next word
-        drive.speak_through(port.open_when_free(patience))
+        drive.line.speak_through(port.open_when_free(patience))
 
 
 def _link(place: int, token: str) -> socket.socket:

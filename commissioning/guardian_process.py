@@ -75,7 +75,7 @@ class _ByConnection:
     def idle(self) -> None:
         """Let what others say on the bus not pile up."""
         with contextlib.suppress(TwoRelayError):
-            self._drive.other_master()
+            self._drive.line.other_master()
 
     def now(self) -> str:
         """Stop; once more on a fresh connection, should the first one have died."""

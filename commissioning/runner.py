@@ -75,7 +75,7 @@ def run(
         Of the plan, the drive, the envelope or an interruption; its message says also how the stop
         went when that is not verified.
     """
-    watch = envelope.watch(drive.read("position_actual"))
+    watch = envelope.watch(drive.read("position_actual").si)
     record, check = recorder.samples.append, watch.check
     admit = watch.admit if mode is Mode.TORQUE else watch.admit_position
     exchange, send, feed = drive.exchange, plan.send, guardian.feed
@@ -124,7 +124,7 @@ def verified(report: StopReport, error: BaseException | None) -> None:
     if report.deenergised:
         return
     if isinstance(error, TwoRelayError):
-        error.args = (f"{error}; {report}",)
+        error.also(report)
     elif error is None:
         raise DriveFault(str(report))
 
@@ -137,8 +137,8 @@ def _left_operation(drive: Drive) -> DriveFault:
             f"another tworelay ({stopper})",
         )
     try:
-        state = drive.status_text()
-        if not drive.in_fault():
+        state = drive.state().text
+        if not drive.state().in_fault:
             return DriveFault(
                 f"the drive left operation and is in no fault (it says: {state}; a code may be older): was "
                 "it disabled from outside: 'tworelay stop', another master, STO, an enable input or a limit "

@@ -11,8 +11,10 @@ from commissioning.errors import JournalError
 from commissioning.journal import Intent, Journal, Kind
 from drivers.drive import Drive
 from drivers.errors import LinkError, WriteDenied, WriteFailed
+from drivers.writing import why_not_written
 from profiles.commands import SET, commands_of
 from profiles.errors import TwoRelayError
+from profiles.parameter import Protection
 
 __all__ = ["Restored", "Return", "Settings", "planned", "put_back", "settle"]
 
@@ -58,18 +60,20 @@ class Settings:
 
     def write(self, kind: Kind, parameter: str, new: int) -> bool:
         """Write a raw value: intent, write, read back, done. False: it had that value already."""
-        old = self._drive.read_raw(parameter)
+        old = self._drive.read(parameter).raw
         if old == new:
             return False
-        protection = self._drive.profile.parameters[parameter].protection
-        if protection != kind and parameter not in SET:
-            raise WriteFailed(
-                f"'{parameter}' is no {kind} parameter in profile '{self._drive.profile.name}': it was "
-                "left as it is"
-            )
-        self._check_way_back(parameter, old, new)
+        refused = why_not_written(
+            self._drive.parameters[parameter],
+            new,
+            old=old,
+            kind=Protection(kind),
+            is_command=parameter in SET,
+        )
+        if refused is not None:
+            raise WriteFailed(refused.text, hint=refused.hint)
         intent = self._journal.intend(self.run, kind, parameter, old, new)
-        self._drive.write_raw(parameter, new)
+        self._drive.write(parameter, new)
         self._journal.settle([intent], "verified")
         return True
 
@@ -77,20 +81,20 @@ class Settings:
         """What the drive had before this run, raw."""
         intents = self._journal.intents(self.run, open_only=True)
         return next(
-            (i.old for i in intents if i.parameter == parameter), self._drive.read_raw(parameter)
+            (i.old for i in intents if i.parameter == parameter), self._drive.read(parameter).raw
         )
 
     def remember(self, parameter: str) -> None:
         """Journal a set-point as it is, to be put back after motion."""
         if parameter in SET:
-            there = self._drive.read_raw(parameter)
+            there = self._drive.read(parameter).raw
             intent = self._journal.intend(self.run, "experiment", parameter, there, there)
             self._journal.settle([intent], "verified")
 
     def remember_power(self) -> None:
         """Journal the registers that enabling, stopping and disabling will write, as they are."""
-        for name, raws in self._drive.power_changes().items():
-            there = self._drive.read_raw(name)
+        for name, raws in self._drive.preparation.power().items():
+            there = self._drive.read(name).raw
             for raw in raws:
                 if raw != there:
                     intent = self._journal.intend(self.run, "experiment", name, there, raw)
@@ -98,30 +102,14 @@ class Settings:
 
     def remember_bus(self) -> None:
         """Journal what the cycle will change of the bus' own objects in the drive."""
-        for name, (old, new) in self._drive.bus_changes().items():
+        for name, (old, new) in self._drive.preparation.bus().items():
             self._journal.intend(self.run, "experiment", name, old, new)
-
-    def _check_way_back(self, parameter: str, old: int, new: int) -> None:
-        """Refuse a write that could not be undone, or that is larger than the profile allows."""
-        described = self._drive.profile.parameters[parameter]
-        low, high = described.range
-        if not described.allows(old):
-            raise WriteFailed(
-                f"'{parameter}' reads {old}, which profile '{self._drive.profile.name}' does not "
-                f"allow to be written back ({low:g}…{high:g}); it was left as it is"
-            )
-        step = abs(described.number(new) - described.number(old))
-        if described.largest_step is not None and step > described.largest_step:
-            raise WriteFailed(
-                f"'{parameter}': the step from {old} to {new} is larger than the "
-                f"{described.largest_step} that profile '{self._drive.profile.name}' allows at once"
-            )
 
     @contextmanager
     def exclusive_access(self) -> Generator[None]:
         """Other masters locked out of the drive, where it can; raises WriteFailed."""
         error: BaseException | None = None
-        lock = self._drive.exclusive_access()
+        lock = self._drive.preparation.exclusive_access()
         try:
             for name, raw in lock.items():
                 self.write("experiment", name, raw)
@@ -136,7 +124,7 @@ class Settings:
                 if error is None:
                     raise WriteFailed(text)
                 if isinstance(error, TwoRelayError):
-                    error.args = (f"{error}; {text}",)
+                    error.also(text)
 
     def restore(self) -> Restored:
         """Put back everything that was set for the experiment; never raises on the way."""
@@ -218,18 +206,17 @@ class _Back:
         # each value that it wrote: a drive that was without power has again what it had stored
         self._ours = {n: {i.new for i in intents if i.parameter == n} for n in self.oldest}
         self._commands = commands_of(drive.profile)
-        profile = drive.profile
         names = dict.fromkeys(i.parameter for i in reversed(intents))
-        known = [name for name in names if name in profile.parameters]
+        known = [name for name in names if name in drive.parameters]
         self.order = sorted(known, key=lambda name: name in self._commands.names)
-        self.of_the_bus = {n: old for n, old in self.oldest.items() if n not in profile.parameters}
+        self.of_the_bus = {n: old for n, old in self.oldest.items() if n not in drive.parameters}
 
     def plan(self, name: str) -> Return:
         """What is to be done with one parameter; raises WriteFailed, LinkError."""
-        there, old = self._drive.read_raw(name), self.oldest[name]
-        known, parameter = self._commands, self._drive.profile.parameters[name]
+        there, old = self._drive.read(name).raw, self.oldest[name]
+        known, what = self._commands, self._drive.parameters[name]
         if name in known.positions:
-            old = self._drive.read_raw("position_actual")
+            old = self._drive.read("position_actual").raw
         elif name in known.set_points:
             old = 0
         why = ""
@@ -237,11 +224,8 @@ class _Back:
             pass
         elif known.enables(name, old):
             why = f"{old} stood there before, which enables the drive: set it yourself"
-        elif name not in known.restorable:
-            why = f"its protection is '{parameter.protection}': it is not written"
-        elif not parameter.allows(old):
-            low, high = parameter.range
-            why = f"{old} stood there before, and is not allowed to be written ({low:g}…{high:g})"
+        elif refused := why_not_written(what, old, is_command=name in known.restorable):
+            why = f"{old} stood there before, and {refused.text}"
         elif (
             there not in self._ours[name] and not self._force and name not in SET | known.set_points
         ):
@@ -260,10 +244,10 @@ class _Back:
         if plan.there == plan.old:
             outcome.already.append(name)
             return
-        if name in self._commands.names and self._drive.is_energised():
+        if name in self._commands.names and self._drive.state().is_energised:
             raise WriteFailed("not put back while the drive is enabled")
         try:
-            self._drive.write_raw(name, plan.old)
+            self._drive.write(name, plan.old)
         except WriteDenied as denied:
             if name != "mode_of_operation" or plan.old != _NO_MODE or denied.busy:
                 raise
@@ -279,7 +263,7 @@ def _put_back_bus(drive: Drive, old: dict[str, int], outcome: Restored, dead: st
     try:
         if dead is not None:
             raise LinkError(dead)
-        done = outcome.restored if drive.put_back_bus(old) else outcome.already
+        done = outcome.restored if drive.preparation.put_back_bus(old) else outcome.already
         done += old
     except TwoRelayError as error:
         outcome.failed |= dict.fromkeys(old, str(error))

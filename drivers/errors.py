@@ -60,9 +60,16 @@ class AccessDenied(TwoRelayError):
     said_by = "the drive"
 
     def __init__(
-        self, message: str, *, busy: bool = False, missing: bool = False, length: bool = False
+        self,
+        message: str,
+        *,
+        busy: bool = False,
+        missing: bool = False,
+        length: bool = False,
+        hint: str = "",
+        **facts: float | str,
     ) -> None:
-        super().__init__(message)
+        super().__init__(message, hint=hint, **facts)
         self.busy = busy
         self.missing = missing
         self.length = length
@@ -90,6 +97,8 @@ class DriveFault(TwoRelayError):
     code = "drive.fault"
     said_by = "the drive"
 
-    def __init__(self, message: str, said_by: str = "") -> None:
-        super().__init__(message)
+    def __init__(
+        self, message: str, said_by: str = "", *, hint: str = "", **facts: float | str
+    ) -> None:
+        super().__init__(message, hint=hint, **facts)
         self.said_by = said_by or type(self).said_by

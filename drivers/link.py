@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from drivers.drive import Bus
+from drivers.bus import Bus
 from drivers.errors import AccessDenied, LinkError
 from drivers.home import home
 from drivers.link_text import Link, host_and_port, is_simulated, name_of, parse

@@ -26,8 +26,8 @@ def patiently(action: Callable[[], T], patience: float, wait: Callable[[], float
             if not error.busy:
                 raise
             if waited > patience - _ROUNDING:
-                error.args = (
-                    f"{error}; it was asked again for {waited:.3g} s ([link] patience in the profile)",
+                error.also(
+                    f"it was asked again for {waited:.3g} s ([link] patience in the profile)"
                 )
                 raise
         waited += wait()
@@ -46,5 +46,5 @@ def when_up(action: Callable[[], T], patience: float, silence: float) -> T:
             waited += silence
             if waited > patience - _ROUNDING:
                 if patience:
-                    error.args = (f"{error} (it was asked for {waited:.3g} s)",)
+                    error.also(f"it was asked for {waited:.3g} s")
                 raise

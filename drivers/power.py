@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 from drivers import cia402
-from drivers.drive import Bus
+from drivers.bus import Bus
 from drivers.errors import DriveFault, NoAnswer, PreflightRefused, WriteDenied, WriteFailed
 from drivers.patience import patiently
 from drivers.sample import Status
@@ -25,14 +25,22 @@ T = TypeVar("T")
 Frame = list[int]  # raw values of cycle.out
 
 
+class Said(NamedTuple):
+    """What a drive says of its energy at one look; `text` is its state in words."""
+
+    is_energised: bool
+    in_fault: bool
+    text: str
+
+
 class PowerStage(Protocol):
     """What can be done with a drive's energy, and what the drive says of it."""
 
     def peculiarities(self) -> tuple[str, ...]:
         """What it says at rest that can mean nothing, in words; it is not heeded from now on."""
 
-    def text(self) -> str:
-        """State in words."""
+    def said(self) -> Said:
+        """All that it says at one look."""
 
     def is_energised(self) -> bool:
         """Whether the drive says that it controls the axis."""
@@ -130,18 +138,19 @@ class Cia402Power:
     def _word(self) -> int:
         return self._bus.read(self._state)
 
-    def text(self) -> str:
-        """State in words."""
-        return cia402.state(self._word())
+    def said(self) -> Said:
+        """What its statusword says."""
+        word = self._word()
+        status = cia402.status(word)
+        return Said(status.enabled or status.stopping, status.fault, cia402.state(word))
 
     def is_energised(self) -> bool:
         """Whether the drive says that it controls the axis."""
-        status = cia402.status(self._word())
-        return status.enabled or status.stopping
+        return self.said().is_energised
 
     def in_fault(self) -> bool:
         """Whether the drive reports a fault."""
-        return cia402.status(self._word()).fault
+        return self.said().in_fault
 
     def acknowledge(self) -> None:
         """A rising edge of the controlword's fault reset."""
@@ -260,15 +269,15 @@ class ProcedurePower:
             self._bus.read(self._profile.parameters[condition.parameter].address)
         )
 
-    def text(self) -> str:
-        """State in words, with what the fault's parameter reads."""
-        fault = self._power.fault
+    def said(self) -> Said:
+        """What its conditions say, with what the fault's parameter reads."""
+        fault, on = self._power.fault, self._holds(self._power.enabled)
+        stopping = self._holds(self._power.stopping)
         if fault is not None and self._holds(fault):
             code = self._bus.read(self._profile.parameters[fault.parameter].address)
-            return f"fault ({fault.parameter} {code:04X}h)"
-        if self._holds(self._power.stopping):
-            return "stopping"
-        return "enabled" if self._holds(self._power.enabled) else "disabled"
+            return Said(on or stopping, True, f"fault ({fault.parameter} {code:04X}h)")
+        text = "stopping" if stopping else "enabled" if on else "disabled"
+        return Said(on or stopping, False, text)
 
     def is_energised(self) -> bool:
         """Whether the drive says that it controls the axis."""
@@ -307,7 +316,7 @@ class ProcedurePower:
             if enabled and self.in_fault():
                 raise DriveFault(f"the drive went into fault while enabling: {self._describe()}")
             if waited >= self._patience:
-                raise PreflightRefused(_stuck(self.text(), self._patience, enabled=enabled))
+                raise PreflightRefused(_stuck(self.said().text, self._patience, enabled=enabled))
             waited += self._turn(frame)
 
     def _perform(self, steps: tuple[Step, ...], what: str, wait: Callable[[], float]) -> None:

@@ -7,7 +7,8 @@ from collections.abc import Callable
 from math import inf, nan
 from typing import NamedTuple, TypeVar
 
-from drivers.drive import Bus, StopFrames, StopReport
+from drivers.bus import Bus, StopFrames
+from drivers.drive import StopReport
 from drivers.errors import AccessDenied, WriteFailed
 from profiles.address import Address
 from profiles.procedures import Step

@@ -30,8 +30,6 @@ Every message is one plain line: what happened, to what, with numbers and units,
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Literal
 
 __all__ = [
@@ -60,10 +58,12 @@ class TwoRelayError(Exception):
         Stable name for programs.
     said_by : str
         Who ended what was under way; '' where nobody but tworelay did.
+    text : str
+        What happened, to what, with numbers and units.
     hint : str
-        What to do next.
-    numbers : dict
-        What the message is about, by name.
+        What to do next; '' where the text says it.
+    facts : dict
+        What the message is about, by name: numbers in SI, and names (parameter, address, unit).
     noted : bool
         The run that it ended says so.
     """
@@ -72,12 +72,21 @@ class TwoRelayError(Exception):
     status: Status = "failed"
     code = "internal"
     said_by = ""
-    hint = ""
-    numbers: Mapping[str, float] = MappingProxyType({})
     noted = False
 
-    def __init__(self, message: str) -> None:
-        super().__init__(" ".join(message.split()))
+    def __init__(self, message: str, *, hint: str = "", **facts: float | str) -> None:
+        self.text = " ".join(message.split())
+        self.hint = hint
+        self.facts = facts
+        self._more: list[str] = []
+        super().__init__(self.text)
+
+    def also(self, text: object) -> None:
+        """Add what else there is to say: how a clean-up went, what was left."""
+        self._more.append(" ".join(str(text).split()))
+
+    def __str__(self) -> str:
+        return "; ".join(filter(None, (self.text, self.hint, *self._more)))
 
 
 class UsageError(TwoRelayError):

@@ -2,51 +2,96 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import StrEnum
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
 from profiles.procedures import Mode
 from profiles.strict import Strict
 
-__all__ = ["LAW_TERMS", "Compensation", "CompensationLaw", "LoopGains", "TablePoint"]
+__all__ = ["Amount", "Compensation", "CompensationLaw", "LoopGains", "TablePoint"]
+
+
+class Amount(NamedTuple):
+    """What is to be compensated, SI at the axis; None: not known well enough to be written.
+
+    Attributes
+    ----------
+    coulomb, viscous : the share of the friction that is compensated
+    offset : whole
+    share : for people
+    motor_speed : speed of the axis at 1 rad/s of the motor
+    """
+
+    coulomb: float
+    offset: float | None
+    viscous: float | None
+    share: str
+    motor_speed: float
+
+
+class Wanted(NamedTuple):
+    """A value for a parameter of the compensation, SI at the axis, and why."""
+
+    value: float
+    why: str
+
+
+class _Term(NamedTuple):
+    """One term of a law: what it is given, and whether it is friction, of which a share can be tried."""
+
+    value: Callable[[Amount], float | None]
+    why: str
+    is_friction: bool
+
+
+_TERMS = {
+    "offset": _Term(
+        lambda a: a.offset, "the whole offset (load, and friction's asymmetry)", is_friction=False
+    ),
+    "positive": _Term(lambda a: a.coulomb, "{} of the Coulomb friction", is_friction=True),
+    "negative": _Term(lambda a: a.coulomb, "{} of the Coulomb friction", is_friction=True),
+    "gain": _Term(lambda a: a.coulomb, "{} of the Coulomb friction", is_friction=True),
+    "speed": _Term(lambda a: None, "", is_friction=False),  # the drive's own: left as it is
+    "viscous": _Term(lambda a: a.viscous, "{} of the viscous friction", is_friction=True),
+    "points": _Term(lambda a: None, "points of the table", is_friction=False),
+}
 
 
 class CompensationLaw(StrEnum):
     """Shape of the friction compensation that the drive has (reference: compensation laws).
 
-    NONE                  nothing to write: identify and report only
-    OFFSET_ASYMMETRIC     T = offset + F+ or F- by direction
-    SINGLE_GAIN           T = F * sign(v)
-    SATURATED_LINEAR      T = F * clip(v / v0, -1, 1)
-    COULOMB_VISCOUS       T = offset + F+ or F- by direction + B * v
-    TABLE                 T = offset + torque over speed, interpolated between points, odd in v
-    HOST                  nothing in the drive: the master adds T = offset + F * sign(v) in every cycle
+    Attributes
+    ----------
+    must, may : terms that it has, and that it can have
     """
 
-    NONE = "none"
-    OFFSET_ASYMMETRIC = "offset+asymmetric"
-    SINGLE_GAIN = "single-gain"
-    SATURATED_LINEAR = "saturated-linear"
-    COULOMB_VISCOUS = "coulomb+viscous"
-    TABLE = "table"
-    HOST = "host"
+    must: frozenset[str]
+    may: frozenset[str]
 
+    # nothing to write: identify and report only
+    NONE = "none", "", ""
+    # T = offset + F+ or F- by direction
+    OFFSET_ASYMMETRIC = "offset+asymmetric", "positive negative", "offset"
+    # T = F * sign(v)
+    SINGLE_GAIN = "single-gain", "gain", "offset"
+    # T = F * clip(v / v0, -1, 1)
+    SATURATED_LINEAR = "saturated-linear", "gain speed", "offset"
+    # T = offset + F+ or F- by direction + B * v
+    COULOMB_VISCOUS = "coulomb+viscous", "positive negative viscous", "offset"
+    # T = offset + torque over speed, interpolated between points, odd in v
+    TABLE = "table", "points", "offset"
+    # nothing in the drive: the master adds T = offset + F * sign(v) in every cycle
+    HOST = "host", "", ""
 
-LAW_TERMS: dict[CompensationLaw, tuple[frozenset[str], frozenset[str]]] = {
-    # law: (terms it must have, terms it may have)
-    CompensationLaw.NONE: (frozenset(), frozenset()),
-    CompensationLaw.HOST: (frozenset(), frozenset()),
-    CompensationLaw.TABLE: (frozenset({"points"}), frozenset({"offset"})),
-    CompensationLaw.OFFSET_ASYMMETRIC: (frozenset({"positive", "negative"}), frozenset({"offset"})),
-    CompensationLaw.SINGLE_GAIN: (frozenset({"gain"}), frozenset({"offset"})),
-    CompensationLaw.SATURATED_LINEAR: (frozenset({"gain", "speed"}), frozenset({"offset"})),
-    CompensationLaw.COULOMB_VISCOUS: (
-        frozenset({"positive", "negative", "viscous"}),
-        frozenset({"offset"}),
-    ),
-}
+    def __new__(cls, name: str, must: str, may: str) -> Self:
+        """A law by its name and terms."""
+        one = str.__new__(cls, name)
+        one._value_ = name
+        one.must, one.may = frozenset(must.split()), frozenset(may.split())
+        return one
 
 
 class TablePoint(Strict):
@@ -84,11 +129,33 @@ class Compensation(Strict):
     @property
     def terms(self) -> dict[str, str]:
         """Parameter name of each term of the law that the drive has."""
-        names = ("offset", "positive", "negative", "gain", "speed", "viscous", "points")
-        found = {name: value for name in names if (value := getattr(self, name)) is not None}
+        found = {name: value for name in _TERMS if (value := getattr(self, name)) is not None}
         for n, point in enumerate(self.table, 1):
             found |= {f"speed_{n}": point.speed, f"torque_{n}": point.torque}
         return found
+
+    def values(self, amount: Amount) -> dict[str, Wanted]:
+        """What compensates `amount`, by parameter; what stays as it is in the drive is not in it."""
+        found = {}
+        for name, term in _TERMS.items():
+            parameter, value = getattr(self, name), term.value(amount)
+            if parameter is not None and value is not None:
+                sign = self.negative_sign if name == "negative" else 1
+                found[parameter] = Wanted(sign * value, term.why.format(amount.share))
+        for point in self.table:
+            speed = point.at * amount.motor_speed
+            torque = amount.coulomb + (amount.viscous or 0.0) * speed
+            found[point.speed] = Wanted(speed, "speed of a point of the table")
+            found[point.torque] = Wanted(torque, f"{amount.share} of the friction at that speed")
+        if self.points is not None:
+            found[self.points] = Wanted(float(len(self.table)), "points of the table")
+        return found
+
+    @property
+    def friction(self) -> frozenset[str]:
+        """Parameters that hold friction: of these a share can be tried, the others stay whole."""
+        named = {getattr(self, name) for name, term in _TERMS.items() if term.is_friction}
+        return frozenset((named - {None}) | {point.torque for point in self.table})
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -97,7 +164,7 @@ class Compensation(Strict):
         speeds = [point.at for point in self.table]
         if speeds != sorted(set(speeds)):
             raise ValueError("the speeds of table must rise from point to point")
-        must, may = LAW_TERMS[self.law]
+        must, may = self.law.must, self.law.may
         there = {name for name in self.terms if not name[-1].isdigit()}
         if missing := must - there:
             raise ValueError(f"law '{self.law}' needs {', '.join(sorted(missing))}")

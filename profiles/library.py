@@ -17,6 +17,7 @@ from profiles.schema import Profile
 from profiles.toml_files import parse_model, parse_tree, read_text, validated
 
 if TYPE_CHECKING:
+    from profiles.axis import Axis
     from profiles.draft import Draft
     from profiles.eds import Eds
     from profiles.table import Row
@@ -75,6 +76,16 @@ def source_text(name_or_path: str) -> str:
     import tomlkit
 
     return tomlkit.dumps(_extended(tree, name_or_path))
+
+
+def source_of(axis: Axis, profile: Profile) -> str:
+    """The text of the profile that `axis` has, or that was found for its drive."""
+    return source_text(axis.profile or profile.name)
+
+
+def as_written(axis: Axis, profile: Profile) -> Profile:
+    """The same as a profile: without what the axis file says otherwise."""
+    return load_profile(axis.profile or profile.name)
 
 
 def _profile_of(text: str, origin: str, *, lenient: bool = False) -> Profile:

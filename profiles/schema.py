@@ -78,6 +78,9 @@ class Profile(Strict):
     own_estimates: dict[Literal["coulomb"], str] = {}  # what the drive itself has found, to compare
     loops: LoopGains | None = None
 
+    def __str__(self) -> str:
+        return f"profile '{self.name}'"
+
     @property
     def moves(self) -> bool:
         """Whether torque can be commanded."""

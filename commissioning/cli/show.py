@@ -234,9 +234,9 @@ def going_back(rows: list[Return], drive: Drive, screen: Screen) -> None:
 
 def _in_si(name: str, raw: int | None, drive: Drive) -> str:
     """A raw value with its unit; '' where it is a code or cannot be read."""
-    parameter = drive.profile.parameters[name]
-    unit = drive.scaling.unit_text(parameter)
-    return "" if raw is None or unit == "1" else number(drive.scaling.to_si(parameter, raw), unit)
+    what = drive.parameters[name]
+    unit = what.unit
+    return "" if raw is None or unit == "1" else number(what.si(raw), unit)
 
 
 def _remark(row: Return) -> str:

@@ -77,3 +77,4 @@ class Error:
     text: Text
     hint: Text = ""
     numbers: dict[str, Finite] = field(default_factory=dict)
+    names: dict[str, Text] = field(default_factory=dict)

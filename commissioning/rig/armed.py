@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from commissioning.desk import Desk, Options, begin_run, connect, none_unfinished
+from commissioning.desk import Desk, Options, begin_run, connect, drive_line, none_unfinished
 from commissioning.ending import (
     axis_state,
     begun,
@@ -30,7 +30,7 @@ from commissioning.settings import Settings
 from drivers.drive import Drive
 from profiles.axis import Axis
 from profiles.errors import TwoRelayError
-from profiles.library import source_text
+from profiles.library import source_of
 
 __all__ = ["Failure", "Work", "in_a_run", "noted"]
 
@@ -81,7 +81,7 @@ def in_a_run(axis: Axis, options: Options, desk: Desk, work: Work) -> RunResult:
 def _run(axis: Axis, options: Options, desk: Desk, drive: Drive, draft: _Draft, work: Work) -> None:
     identity = drive.identity()
     draft.result = on_drive(draft.result, axis, drive.link, drive.profile, identity)
-    desk.tell(f"drive: {identity}; profile {drive.profile.name} {drive.profile.version}")
+    desk.tell(drive_line(identity, drive.profile))
     for line in drive.lacking:
         desk.tell(line)
     none_unfinished(desk, identity.serial, drive.link)
@@ -109,7 +109,7 @@ def _begun(
 ) -> None:
     """The work as a run of the journal, whatever becomes of it."""
     identity = drive.identity()
-    profile_text = source_text(axis.profile or drive.profile.name)
+    profile_text = source_of(axis, drive.profile)
     run_id = begin_run(desk, drive, identity, axis, options.fraction)
     draft.result = replace(draft.result, run=run_id)
     folder = RunFolder.of(desk.journal, run_id)
@@ -172,11 +172,11 @@ def _dry_run(
     """Say what would be written; write nothing."""
     desk.tell(_arming_text(axis, limits))
     for name, raw in writes(drive, limits).items():
-        there, parameter = drive.read_raw(name), drive.profile.parameters[name]
+        there, what = drive.read(name).raw, drive.parameters[name]
         if there != raw:
             desk.tell(
-                f"would set {name} ({parameter.address}): {there} → {raw} "
-                f"(x {drive.scaling.raw_unit(parameter)}), and put it back"
+                f"would set {name} ({what.address}): {there} → {raw} "
+                f"(x {what.raw_unit}), and put it back"
             )
     desk.tell("would set mode, target torque and controlword to move the axis, and put them back")
     desk.tell("dry run: nothing was written or moved")

@@ -88,11 +88,11 @@ class Mover:
             if error is None:
                 raise WriteFailed(text)
             if isinstance(error, TwoRelayError):
-                error.args = (f"{error}; {text}",)
+                error.also(text)
 
     def clear_own_fault(self) -> None:
         """Acknowledge what the drive's watchdog said of the silence in which it was stopped."""
-        if self._watchdog_fault and self._drive.fault_text() == self._watchdog_fault:
+        if self._watchdog_fault and self._drive.state().fault == self._watchdog_fault:
             self._drive.reset_fault()
 
     def widen(self, speed: float) -> None:
@@ -105,7 +105,7 @@ class Mover:
         if mode is self._prepared_for:
             return
         with self._desk.interruption.deferred():
-            for name, raw in self._drive.preparations(mode).items():
+            for name, raw in self._drive.preparation.settings(mode).items():
                 self._settings.write("experiment", name, raw)
         self._prepared_for = mode
 
@@ -145,7 +145,7 @@ class Mover:
         """
         envelope = replace(envelope, rated=inf, thermal=inf, bias=nan)
         self._prepare(Mode.POSITION)
-        here = self._drive.read("position_actual")
+        here = self._drive.read("position_actual").si
         return run(
             plan(here), self._drive, envelope, Recorder(), self._desk.interruption,
             mode=Mode.POSITION, guardian=self._guardian,
@@ -154,7 +154,7 @@ class Mover:
     @property
     def is_energised(self) -> bool:
         """Whether the drive says that it controls the axis."""
-        return self._drive.is_energised()
+        return self._drive.state().is_energised
 
     # -- what was spent --------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ from commissioning.desk import Options
 from commissioning.interruption import Interruption
 from commissioning.runner import verified
 from commissioning.settings import Settings
-from drivers.drive import SET, Drive
+from drivers.drive import Drive
 from drivers.errors import DriveEnabled, DriveFault, PreflightRefused, WriteDenied
 from profiles.axis import Axis
 from profiles.errors import UsageError
@@ -63,34 +63,34 @@ class Limits:
 
 def look(drive: Drive, axis: Axis) -> None:
     """Read-only checks; raises PreflightRefused, Refused."""
-    if drive.in_fault():
+    if drive.state().in_fault:
         raise PreflightRefused(
-            f"the drive is in fault: {drive.status_text()}; remove the cause and reset it, then "
+            f"the drive is in fault: {drive.state().text}; remove the cause and reset it, then "
             "try again"
         )
-    if drive.is_energised():
+    if drive.state().is_energised:
         raise DriveEnabled(
             "the drive is already enabled, so somebody else controls it (or a dead process left "
             "it so: 'tworelay stop' makes it safe)"
         )
-    watchdog = drive.profile.watchdog
+    watchdog = drive.watchdog
     if watchdog.kind != "none" and drive.cycle > watchdog.timeout / CYCLES_A_WATCHDOG:
         raise PreflightRefused(
             f"a cycle of {drive.cycle * 1000:g} ms is too slow for the drive's watchdog of "
             f"{watchdog.timeout * 1000:g} ms, which needs {CYCLES_A_WATCHDOG} cycles; give a shorter "
             "--cycle"
         )
-    other = drive.other_master()
+    other = drive.line.other_master()
     if other:
         raise PreflightRefused(
             f"another master is on the bus ({other} was heard): two masters move an axis against "
             "each other; disconnect it or stop its program (if it only produces SYNC: sync=bus in the link)"
         )
-    drive.check_requirements()
-    drive.preparations(Mode.TORQUE)  # refuses a drive without torque mode
-    law = drive.profile.compensation
+    drive.preparation.check_requirements()
+    drive.preparation.settings(Mode.TORQUE)  # refuses a drive without torque mode
+    law = drive.compensation
     if Mode.TORQUE in law.acts_in:
-        active = [name for name in law.terms.values() if drive.read_raw(name) != 0]
+        active = [name for name in law.terms.values() if drive.read(name).raw != 0]
         if active:
             raise PreflightRefused(
                 f"this drive's compensation acts in torque mode too, and {', '.join(active)} is not "
@@ -111,9 +111,9 @@ def still_moving(drive: Drive, patience: float = _PATIENCE) -> float:
     """
     step = _count(drive)
     for _ in range(ceil(patience / _LOOK)):
-        before = drive.read("position_actual")
+        before = drive.read("position_actual").si
         drive.wait(_LOOK)
-        moved = abs(drive.read("position_actual") - before)
+        moved = abs(drive.read("position_actual").si - before)
         if moved <= _AT_REST_COUNTS * step:
             return 0.0
     return moved
@@ -121,7 +121,7 @@ def still_moving(drive: Drive, patience: float = _PATIENCE) -> float:
 
 def _count(drive: Drive) -> float:
     """Position of one encoder count, rad or m."""
-    return abs(drive.scaling.step(drive.profile.parameters[POSITION]))
+    return abs(drive.parameters[POSITION].step)
 
 
 def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
@@ -141,10 +141,9 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
         )
     mechanics = axis.mechanics
     rated = drive.scaling.rated_torque * mechanics.effort_per_torque
-    own = drive.profile.limits
+    own = drive.limits
     by_torque, by_current, by_speed = own.get("torque"), own.get("current"), own.get("speed")
-    address = {name: known.address for name, known in drive.profile.parameters.items()}
-    most = drive.read(by_torque) if by_torque else rated
+    most = drive.read(by_torque).si if by_torque else rated
     asked = options.max_torque or axis.limits.torque
     if most <= 0:
         if asked is None:
@@ -154,17 +153,17 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
                 f"{axis.effort_unit}, which is set for the experiment"
             )
         most = asked
-    by = str(address[by_torque]) if by_torque else "rated torque"
-    if by_current and 0 < (current := drive.read(by_current)) < most:
-        most, by = current, str(address[by_current])
+    by = drive.parameters[by_torque].address if by_torque else "rated torque"
+    if by_current and 0 < (current := drive.read(by_current).si) < most:
+        most, by = current, drive.parameters[by_current].address
     torque = asked or min(rated, most)
-    fastest = drive.read(by_speed) if by_speed else None
+    fastest = drive.read(by_speed).si if by_speed else None
     speed = options.max_speed or axis.limits.speed or fastest
     if not speed:
         has = (
             "The drive has no speed limit"
             if by_speed is None
-            else f"The drive's speed limit ({address[by_speed]}) reads 0"
+            else f"The drive's speed limit ({drive.parameters[by_speed].address}) reads 0"
         )
         raise UsageError(
             f"how fast may the axis move? {has}: give --max-speed in {axis.position_unit}/s"
@@ -174,9 +173,9 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
             f"max torque of {torque:.4g} {axis.effort_unit} is above the drive's own limit of "
             f"{most:.4g} {axis.effort_unit} ({by})"
         )
-    drive.check_set_points(Mode.TORQUE, torque)
+    drive.preparation.check_set_points(Mode.TORQUE, torque)
     return Limits(
-        drive.read("position_actual"),
+        drive.read("position_actual").si,
         travel,
         torque,
         min(speed, fastest) if fastest else speed,
@@ -187,20 +186,19 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
 
 def writes(drive: Drive, limits: Limits) -> dict[str, int]:
     """Raw value of every parameter that is set for the experiment and put back after it."""
-    named = drive.profile.limits
+    named = drive.limits
     # first what keeps the drive from moving and from storing; it is put back last
-    found = drive.preparations(Mode.TORQUE)
+    found = drive.preparation.settings(Mode.TORQUE)
     for kind, value in (
         ("torque", limits.torque),
         ("speed", _DRIVE_SPEED * cautious_speed(drive, limits)),
     ):
-        name = named.get(kind)  # type: ignore[call-overload]
+        name = named.get(kind)
         if name is not None:
-            parameter = drive.profile.parameters[name]
-            raw = drive.scaling.to_raw(parameter, value)
-            there = drive.read_raw(name)
+            raw = drive.parameters[name].raw(value)
+            there = drive.read(name).raw
             found[name] = max(1, min(raw, there)) if there > 0 else raw
-    found |= drive.watchdog_settings()
+    found |= drive.preparation.watchdog()
     return found
 
 
@@ -216,11 +214,10 @@ def cautious_speed(drive: Drive, limits: Limits, dead_time: float | None = None)
 
 def widen_speed(drive: Drive, settings: Settings, speed: float) -> None:
     """The drive may let the axis go faster than before, as fast as `speed` (rad/s or m/s) says."""
-    name = drive.profile.limits.get("speed")
+    name = drive.limits.get("speed")
     if name is not None:
-        parameter = drive.profile.parameters[name]
         most = settings.oldest(name)
-        raw = drive.scaling.to_raw(parameter, _DRIVE_SPEED * speed)
+        raw = drive.parameters[name].raw(_DRIVE_SPEED * speed)
         settings.write("experiment", name, max(1, min(raw, most)) if most > 0 else raw)
 
 
@@ -232,16 +229,16 @@ def set_limits(
         try:
             settings.write("experiment", name, raw)
         except WriteDenied as denied:
-            if denied.busy or name not in drive.dispensable:
+            if denied.busy or name not in drive.preparation.dispensable:
                 raise
-            tell(f"{denied}: it stays at {drive.read_raw(name)}, and the job goes on without")
-    for name in SET & set(drive.profile.cycle.out):
+            tell(f"{denied}: it stays at {drive.read(name).raw}, and the job goes on without")
+    for name in drive.preparation.set_points():
         settings.remember(name)
     settings.remember_power()
     settings.remember_bus()
-    for code in drive.mode_codes():
+    for code in drive.preparation.mode_codes():
         settings.write("experiment", "mode_of_operation", code)
-    if drive.is_energised():
+    if drive.state().is_energised:
         verified(drive.stop(), None)
         raise PreflightRefused(
             "the drive became enabled while it was prepared, before any command: what enables it? Look at "
@@ -251,9 +248,9 @@ def set_limits(
 
 def check_watchdog(drive: Drive, *, without: bool) -> None:
     """Refuse a drive that would not notice a dead link, unless the user has said `without`."""
-    if drive.profile.watchdog.kind == "none" and not without:
+    if drive.watchdog.kind == "none" and not without:
         raise PreflightRefused(
-            f"profile '{drive.profile.name}' has no drive-side watchdog for this drive and link, so a dead "
+            f"{drive.profile} has no drive-side watchdog for this drive and link, so a dead "
             "cable would leave the torque on; --without-watchdog takes that risk, with the emergency stop in "
             "your hand"
         )
@@ -275,7 +272,7 @@ def prove_watchdog(
     another one stays in the drive, and is a DriveFault: it was not the watchdog. Raises PreflightRefused
     when drive or axis does otherwise, or when the drive has no watchdog and `without` is not set.
     """
-    watchdog = drive.profile.watchdog
+    watchdog = drive.watchdog
     check_watchdog(drive, without=without)
     if without:
         tell(
@@ -286,18 +283,18 @@ def prove_watchdog(
     tell(f"proof of the watchdog: silence for {3 * watchdog.timeout * 1000:.0f} ms")
     with interruption.deferred():
         try:
-            begin = drive.read("position_actual")
+            begin = drive.read("position_actual").si
             drive.enable(Mode.TORQUE, rest)
             for _ in range(_PROOF_CYCLES):
                 if not drive.exchange(rest).status.enabled:
                     raise DriveFault(
-                        f"the drive stopped before the proof of its watchdog: {drive.status_text()}"
+                        f"the drive stopped before the proof of its watchdog: {drive.state().text}"
                     )
             drive.wait(3 * watchdog.timeout)
-            energised = drive.is_energised()
+            energised = drive.state().is_energised
             if energised:  # a brake takes its time
-                drive.wait(drive.profile.stop_time)
-                energised = drive.is_energised()
+                drive.wait(drive.stop_time)
+                energised = drive.state().is_energised
         except BaseException as error:
             verified(drive.stop(interruption.hurried), error)
             raise
@@ -308,7 +305,7 @@ def prove_watchdog(
                 f"watchdog ('{watchdog.parameter}') is not proved, so nothing is moved. "
                 "(A served drive that steps needs clock=step in its link.)"
             )
-        found = drive.fault_text()
+        found = drive.state().fault
         if before is not None and found != before:
             raise DriveFault(
                 f"while its watchdog was proved the drive stopped with '{found}', and with '{before}' in an "
@@ -316,16 +313,16 @@ def prove_watchdog(
                 "cause, then try again"
             )
         if before is None:  # before a reset makes the drive forget it
-            tell(f"the drive noticed it, by itself: {drive.status_text()}")
-            stranger = drive.fault_of_another_kind()
+            tell(f"the drive noticed it, by itself: {drive.state().text}")
+            stranger = drive.state().stranger
             if stranger:
                 tell(
                     f"that is no error of communication ({stranger}): was it its watchdog that stopped the "
                     "drive, or something else at the same time?"
                 )
-        if drive.in_fault():
+        if drive.state().in_fault:
             drive.reset_fault()
-        moved = drive.read("position_actual") - begin
+        moved = drive.read("position_actual").si - begin
         if abs(moved) > _STAYS * travel:
             raise PreflightRefused(
                 f"the axis, or its encoder, moved by {moved:+.3g} (of ±{travel:.4g} that are allowed) while "

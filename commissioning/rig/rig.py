@@ -69,15 +69,15 @@ class Rig:
         guardian: Guardian,
     ) -> Rig:
         """The rig of one run on one connected drive."""
-        parameters, loops = drive.profile.parameters, drive.profile.loops
+        loops = drive.loops
         context = Context(
             cycle=drive.cycle,
-            resolution=abs(drive.scaling.step(parameters[POSITION])),
+            resolution=abs(drive.parameters[POSITION].step),
             start=limits.start,
             travel=limits.travel,
             torque=limits.torque,
             speed=limits.speed,
-            torque_resolution=drive.scaling.step(parameters[TORQUE]),
+            torque_resolution=drive.parameters[TORQUE].step,
             position_unit=axis.position_unit,
             effort_unit=axis.effort_unit,
             tell=recorder.phase,
@@ -101,7 +101,7 @@ class Rig:
             without_watchdog=options.without_watchdog,
         )  # fmt: skip
         units = Units(axis.position_unit, axis.effort_unit)
-        lag = drive.read(loops.lag) if loops and loops.lag else 0.0
+        lag = drive.read(loops.lag).si if loops and loops.lag else 0.0
         return cls(
             axis, options, desk, drive, limits, settings, mover, context, envelope, units, lag
         )
@@ -120,9 +120,8 @@ class Rig:
         """A torque, N.m or N, in steps of the drive, and what a step is; None for other quantities."""
         if name not in ("coulomb", "offset"):
             return None, None
-        parameter = self.drive.profile.parameters[TORQUE]
-        scaling = self.drive.scaling
-        return value / scaling.step(parameter), scaling.raw_unit(parameter)
+        torque = self.drive.parameters[TORQUE]
+        return value / torque.step, torque.raw_unit
 
     # -- work ------------------------------------------------------------------------------------
 
@@ -175,10 +174,10 @@ class Rig:
 
     def _holding_torque(self) -> float:
         """Torque that holds the axis, read while the drive holds its position."""
-        if "torque_actual" not in self.drive.profile.cycle.in_:
+        if not self.drive.tells_torque:
             raise PreflightRefused(
-                f"the axis is held by a {self.axis.mechanics.held_by}, but profile "
-                f"'{self.drive.profile.name}' does not exchange torque_actual, so the torque that "
+                f"the axis is held by a {self.axis.mechanics.held_by}, but "
+                f"{self.drive.profile} does not exchange torque_actual, so the torque that "
                 "holds it cannot be known"
             )
         self.recorder.phase("holding torque: creep up and down in position mode")
@@ -204,7 +203,7 @@ class Rig:
                 "the stop path could not be proved: the drive has no energy any more, and the axis "
                 f"still moves ({moved:.3g} {p} between two looks); nothing larger is moved"
             )
-        distance = abs(self.drive.read(POSITION) - position)
+        distance = abs(self.drive.read(POSITION).si - position)
         delay = known.dead_time + cycle
         counted = max(distance - speed * delay, 0.25 * distance, 1e-12)
         braking = _BRAKING_SHARE * known.inertia * speed**2 / (2 * counted)
@@ -217,7 +216,7 @@ class Rig:
         self.recorder.phase(
             f"stop path proved: {speed:.3g} {p}/s to rest within {distance:.3g} {p}"
         )
-        watchdog = self.drive.profile.watchdog
+        watchdog = self.drive.watchdog
         silent = watchdog.timeout if watchdog.kind != "none" else 0.0
         reaction = max(_NOTICE * cycle, silent) + delay
         watches = silent if silent > _NOTICE * cycle else 0.0

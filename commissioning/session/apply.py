@@ -15,7 +15,7 @@ from commissioning.result.changes import Change, Written
 from commissioning.result.document import RunResult
 from commissioning.result.worth import GainSet
 from commissioning.session.named import axis_of_run, own_run
-from commissioning.session.storing import store, storing, unverified
+from commissioning.session.storing import all_writable, store, storing
 from commissioning.settings import Settings
 from drivers.drive import Drive
 from drivers.errors import DriveEnabled
@@ -51,24 +51,24 @@ def apply(
         same_drive(identity, record.serial, run_id, drive.link, desk)
         none_unfinished(desk, identity.serial, drive.link)
         if tuned:
-            loops = drive.profile.loops
+            loops = drive.loops
             if {item.parameter for item in gained} != set(loops.terms.values() if loops else ()):
                 raise Refused(
                     f"run {run_id}: its gains are not those that the profile maps; tune it again"
                 )
-        if drive.is_energised():
+        if drive.state().is_energised:
             raise DriveEnabled(
                 "the drive is enabled: its compensation is not changed while it controls the axis; "
                 "disable it first"
             )
         present = tuple(_present(change, drive) for change in proposal)
         show(present)
-        stores, then = storing(drive.profile, prove_first=prove_first)
+        stores, then = storing(drive, prove_first=prove_first)
         stored = not stores or _is_stored(history, proposal)
         names = [change.parameter for change in present]
-        unverified(drive.profile, names, constant_known=axis.torque_constant is not None)
-        if drive.profile.compensation.note:
-            desk.tell(drive.profile.compensation.note)
+        all_writable(drive, names)
+        if drive.compensation.note:
+            desk.tell(drive.compensation.note)
         writes = any(change.old_raw != change.new_raw for change in present) or not stored
         if writes:
             desk.agree(f"These values will be WRITTEN to axis '{axis.name}' {then}.", axis.name)
@@ -141,9 +141,8 @@ def _check(result: RunResult, proposal: tuple[Change, ...]) -> None:
 
 def _present(change: Change, drive: Drive) -> Change:
     """A change from what is in the drive now."""
-    raw = drive.read_raw(change.parameter)
-    parameter = drive.profile.parameters[change.parameter]
-    return replace(change, old_raw=raw, old=drive.scaling.to_si(parameter, raw))
+    there = drive.read(change.parameter)
+    return replace(change, old_raw=there.raw, old=there.si)
 
 
 def _written(change: Change, kind: Literal["compensation", "gain"]) -> Written:
@@ -195,5 +194,5 @@ def _advising(run: str) -> Generator[None]:
         yield
     except TwoRelayError as error:
         way = f"'tworelay restore {run}' puts the old values back"
-        error.args = (f"{error}; what was written so far is in the journal: {way}",)
+        error.also(f"what was written so far is in the journal: {way}")
         raise

@@ -40,7 +40,7 @@ def prove_and_store(run: str, desk: Desk, show: Show, *, without_watchdog: bool)
     try:
         provable(load_profile(str(folder.profile_path()), lenient=True))
     except PreflightRefused as error:
-        error.args = (f"{error}. Nothing was written; 'tworelay apply {run}' writes it unproved",)
+        error.also(f"nothing was written; 'tworelay apply {run}' writes it unproved")
         _close(run, desk, folder, error, (f"not proved: {error}",), None)
         raise
     try:
@@ -53,11 +53,12 @@ def prove_and_store(run: str, desk: Desk, show: Show, *, without_watchdog: bool)
             became, axis = leave_as_found(run, desk)
             notes = tuple(text for text in (f"not proved: {error}", became) if text)
             if became and isinstance(error, TwoRelayError):
-                error.args = (f"{error}; {became}",)
+                error.also(became)
             try:
                 _close(run, desk, folder, error, notes, axis)
             except TwoRelayError as second:  # a full disk; the drive is as it is said to be
-                error.args = (f"{error}; {second}",)
+                if isinstance(error, TwoRelayError):
+                    error.also(second)
         raise
 
 

@@ -22,11 +22,11 @@ from commissioning.rig.armed import in_a_run
 from commissioning.rig.preflight import CYCLES_A_WATCHDOG
 from commissioning.rig.results import quantity
 from commissioning.rig.rig import Rig
-from drivers.drive import GUARDS
+from drivers.bus import GUARDS
 from drivers.errors import LinkError
 from profiles.axis import Axis
 from profiles.errors import UsageError
-from profiles.library import load_profile
+from profiles.library import as_written
 
 __all__ = ["Latency", "dead_time", "latency"]
 
@@ -114,27 +114,26 @@ def latency(axis: Axis, count: int, desk: Desk) -> Latency:
         raise UsageError("latency: a drive with clock=step has no time; serve it with --clock wall")
     patient = _patient(axis)
     with connect(patient, _FLAT_OUT, desk, "latency") as drive:
-        power = drive.profile.power
-        status = "statusword" if power is None else power.enabled.parameter
-        drive.refuse_rehearsal()
+        status = drive.rehearsal.status
+        drive.rehearsal.check()
 
         def read() -> Iterator[float]:
             while True:
                 begin = perf_counter()
-                drive.read_raw(status)
+                drive.read(status)
                 yield perf_counter() - begin
 
         desk.tell("reads of one parameter")
         service = _taken(read(), count, desk)
         count = min(count, max(_FEWEST, round(_LONGEST / float(np.median(service)))))
         desk.tell(f"{count} cycles, as fast as they go; the drive stays de-energised")
-        times = _taken((e.time for e in drive.rehearse(count + 1)), count + 1, desk)
+        times = _taken((e.time for e in drive.rehearsal.cycles(count + 1)), count + 1, desk)
     exchange = np.diff(np.array(times))
     cycle = ceil(_SPARE * float(np.quantile(exchange, 0.99)) / _GRID) * _GRID
     with connect(patient, cycle, desk, "latency") as drive:
         desk.tell(f"{count} cycles of {cycle * 1000:g} ms")
-        kept = _taken(drive.rehearse(count), count, desk)
-        own = load_profile(axis.profile or drive.profile.name).watchdog.timeout
+        kept = _taken(drive.rehearsal.cycles(count), count, desk)
+        own = as_written(axis, drive.profile).watchdog.timeout
     bears = axis.limits.watchdog or own
     return Latency(
         np.array(service), exchange, cycle, np.array([e.lateness for e in kept]),

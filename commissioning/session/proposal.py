@@ -10,7 +10,7 @@ from commissioning.result.changes import Change
 from commissioning.result.document import Quality, RunResult
 from drivers.drive import Drive
 from drivers.errors import AccessDenied, WriteFailed
-from profiles.parameter import Trust
+from drivers.writing import why_not_written
 
 __all__ = ["with_proposal"]
 
@@ -24,7 +24,7 @@ def with_proposal(result: RunResult, drive: Drive, fraction: float) -> RunResult
     quality = Quality(
         result.quality.verdict, (*result.quality.reasons, *reasons, *([own] if own else ()))
     )
-    host = host_terms(drive.profile, drive.scaling, result.friction, fraction)
+    host = host_terms(drive.compensation, drive.parameters, result.friction, fraction)
     return replace(result, compensation=changes, host_compensation=host, quality=quality)
 
 
@@ -36,23 +36,18 @@ def _changes(
     result: RunResult, drive: Drive, fraction: float
 ) -> tuple[tuple[Change, ...], list[Reason]]:
     """The proposal; what the drive cannot hold is among the reasons instead."""
-    law, found, reasons = drive.profile.compensation, result.friction, []
+    law, found, reasons = drive.compensation, result.friction, []
     if not law.terms:
         return (), []
-    old = {name: drive.read_raw(name) for name in law.terms.values()}
-    doubtful = [n for n in old if drive.profile.parameters[n].trust is Trust.UNVERIFIED]
+    old = {name: drive.read(name).raw for name in law.terms.values()}
+    doubtful = [why for name in old if (why := why_not_written(drive.parameters[name]))]
     if doubtful:
-        reasons.append(
-            _note(
-                "proposal.unverified",
-                f"apply will refuse {', '.join(doubtful)}: unverified in profile '{drive.profile.name}'; "
-                "check them in the drive's manual, mark them in a copy of the profile, and identify with "
-                "that",
-            )
-        )
+        ways = "; ".join(dict.fromkeys(why.hint for why in doubtful))
+        text = "; ".join(why.text for why in doubtful)
+        reasons.append(_note("proposal.unverified", f"apply will refuse: {text}; {ways}"))
     for attempt in (found, replace(found, viscous=None)):
         try:
-            changes = propose(drive.profile, drive.scaling, attempt, old, fraction)
+            changes = propose(law, drive.parameters, attempt, old, fraction)
         except WriteFailed as error:
             reasons.append(_note("proposal.impossible", f"not proposed: {error}"))
         else:
@@ -62,16 +57,16 @@ def _changes(
 
 def _own_estimate(drive: Drive, coulomb: float) -> Reason | None:
     """The drive's own estimate of the friction beside ours (N.m or N), where it has one."""
-    name = drive.profile.own_estimates.get("coulomb")
+    name = drive.own_estimates.get("coulomb")
     if name is None:
         return None
     try:
-        own = abs(drive.read(name))
+        own = abs(drive.read(name).si)
     except AccessDenied:
         return None
     if not own > 0:
         return None
-    unit = drive.scaling.unit_text(drive.profile.parameters[name])
+    unit = drive.parameters[name].unit
     return _note(
         "drive.estimate",
         f"the drive's own estimate of the Coulomb friction ({name}) is {own:.4g} {unit}: "

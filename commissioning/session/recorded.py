@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from commissioning.desk import Desk, begin_run, connect
+from commissioning.desk import Desk, begin_run, connect, drive_line
 from commissioning.ending import axis_state, ended, on_drive
 from commissioning.result.document import RunResult
 from commissioning.runs import RunFolder
 from commissioning.session.proposal import with_proposal
 from profiles.axis import Axis
 from profiles.errors import UsageError
-from profiles.library import source_text
+from profiles.library import source_of
 
 __all__ = ["for_drive"]
 
@@ -29,11 +29,11 @@ def for_drive(result: RunResult, axis: Axis, fraction: float, desk: Desk) -> Run
         )
     with connect(axis, None, desk, "analyze") as drive:
         identity = drive.identity()
-        desk.tell(f"drive: {identity}; profile {drive.profile.name} {drive.profile.version}")
+        desk.tell(drive_line(identity, drive.profile))
         result = with_proposal(result, drive, fraction)
         result = on_drive(result, axis, drive.link, drive.profile, identity)
         run = begin_run(desk, drive, identity, axis, fraction)
-        text = source_text(axis.profile or drive.profile.name)
+        text = source_of(axis, drive.profile)
         state = axis_state(drive, axis)
     result = ended(replace(result, run=run), desk.journal.history(run), state)
     RunFolder.of(desk.journal, run).save(result, profile=text)

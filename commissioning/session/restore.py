@@ -75,7 +75,7 @@ def restore(
         show(plan, drive)
         if dry_run:
             return None
-        stores = drive.profile.store is not None and not history.has_stored(history.before())
+        stores = drive.memory is not None and not history.has_stored(history.before())
         then = " and stored" if stores else ""
         there = bool(plan) and all(row.there == row.old for row in plan)
         if not there:
@@ -121,7 +121,7 @@ def _note_return(
 
 def _check_not_enabled(drive: Drive, desk: Desk, run_id: str) -> None:
     """Raises PreflightRefused: nothing is put back in a drive that controls its axis."""
-    if drive.is_energised():
+    if drive.state().is_energised:
         profile = RunFolder.of(desk.journal, run_id).profile_path()
         raise DriveEnabled(
             f'the drive is enabled: \'tworelay stop "{drive.link}" --profile "{profile}"\' makes it safe, '
@@ -151,11 +151,11 @@ def _put_all_back(drive: Drive, desk: Desk, run_id: str, *, force: bool) -> Rest
             f"'tworelay restore {run_id}' tries again",
             (*outcome.failed, *outcome.skipped),
         )
-    if drive.profile.store is not None and not journal.history(run_id).has_stored(old):
+    if drive.memory is not None and not journal.history(run_id).has_stored(old):
         try:
             store(drive, desk, run_id, old, RESTORED)
         except TwoRelayError as error:
-            error.args = (f"{error}; 'tworelay restore {run_id}' tries again",)
+            error.also(f"'tworelay restore {run_id}' tries again")
             raise
     of_run = journal.intents(run_id, open_only=True)
     settle(journal, [i for i in of_run if i.lasts], outcome)

@@ -22,7 +22,7 @@ from commissioning.rig.preflight import check_watchdog, choose_limits, look
 from commissioning.rig.rig import Rig
 from commissioning.runner import Recorder
 from commissioning.session.named import axis_of_run, own_run
-from commissioning.session.storing import store, unverified
+from commissioning.session.storing import all_writable, store
 from commissioning.settings import Settings
 from drivers.drive import Drive
 from drivers.errors import PreflightRefused
@@ -35,7 +35,6 @@ from profiles.schema import Profile
 __all__ = ["Wishes", "provable", "verify"]
 
 _STEPS = 0.5, 0.7  # of the friction; then the fraction of the run
-_WHOLE = "offset", "points", "speed"  # terms of a law that are no friction
 _WORSE = 1.05  # of the error before, and
 _NOISE = 2.0  # counts more: from here on a step does harm
 _SHOWN = 400  # points of a trace
@@ -133,12 +132,11 @@ def _proved(result: RunResult, drive: Drive, steps: list[_Step], kept: _Step | N
     result = replace(result, verification=found)
     if kept is None:
         return replace(result, written=())
-    parameters = drive.profile.parameters
     stays = []
     for change in result.compensation:
         raw = kept.raw[change.parameter]
         if raw != change.new_raw:
-            value = drive.scaling.to_si(parameters[change.parameter], raw)
+            value = drive.parameters[change.parameter].si(raw)
             why = f"{100 * kept.fraction:g} % of the friction: the most that helped"
             change = replace(change, new_raw=raw, new=value, rounded_by=0.0, why=why)  # noqa: PLW2901
         stays.append(change)
@@ -217,10 +215,7 @@ def _look(drive: Drive, axis: Axis, options: Options, desk: Desk, record: RunRec
     same_drive(identity, record.serial, record.id, drive.link, desk)
     none_unfinished(desk, identity.serial, drive.link)
     provable(drive.profile)
-    law = drive.profile.compensation
-    unverified(
-        drive.profile, list(law.terms.values()), constant_known=axis.torque_constant is not None
-    )
+    all_writable(drive, list(drive.compensation.terms.values()))
     look(drive, axis)
     check_watchdog(drive, without=options.without_watchdog)
     limits = choose_limits(drive, axis, options)
@@ -238,7 +233,7 @@ def _with_steps(rig: Rig, result: RunResult, *, unproved: bool) -> tuple[list[_S
     """The steps in their order, and the one that stays."""
     drive, journal, run = rig.drive, rig.desk.journal, rig.settings.run
     names = [change.parameter for change in result.compensation]
-    was, had = {name: drive.read_raw(name) for name in names}, journal.memory(run)
+    was, had = {name: drive.read(name).raw for name in names}, journal.memory(run)
     try:
         steps, kept = rig.mover.within_settings(lambda: _raise(rig, result))
         final = _before(rig, names, was) if kept is None else kept.raw
@@ -264,11 +259,10 @@ def _with_steps(rig: Rig, result: RunResult, *, unproved: bool) -> tuple[list[_S
         if not unproved:
             _go_back(rig, was, error)
             if journal.memory(run) != had and isinstance(error, TwoRelayError):
-                text = (
-                    f"{error}; the drive's memory may hold what was to stay: 'tworelay restore {run}' puts "
-                    "the old values back"
+                error.also(
+                    f"the drive's memory may hold what was to stay: 'tworelay restore {run}' puts the old "
+                    "values back"
                 )
-                error.args = (text,)
         raise
     return steps, kept
 
@@ -288,12 +282,11 @@ def _go_back(rig: Rig, was: Raw, error: BaseException) -> None:
         with rig.desk.interruption.deferred(), rig.settings.exclusive_access():
             _write(rig, was)
     except TwoRelayError as second:
-        text = (
-            f"{error}; the compensation is not back as it was: {second}; 'tworelay restore "
-            f"{rig.settings.run}' puts the old values back"
-        )
         if isinstance(error, TwoRelayError):
-            error.args = (text,)
+            error.also(
+                f"the compensation is not back as it was: {second}; 'tworelay restore "
+                f"{rig.settings.run}' puts the old values back"
+            )
 
 
 def _write(rig: Rig, raw: Raw) -> None:
@@ -361,13 +354,11 @@ def _words(step: _Step, unit: str) -> str:
 
 def _share(drive: Drive, new: Raw, share: float) -> Raw:
     """The proposal with a share of its friction; offset and speeds stay whole."""
-    terms = drive.profile.compensation.terms
-    whole = {name for term, name in terms.items() if term.startswith(_WHOLE)}
-    found = {}
-    for name, raw in new.items():
-        parameter = drive.profile.parameters[name]
-        found[name] = raw if name in whole else parameter.nearest_raw(share * parameter.number(raw))
-    return found
+    friction = drive.compensation.friction
+    return {
+        name: drive.parameters[name].share(raw, share) if name in friction else raw
+        for name, raw in new.items()
+    }
 
 
 def _followed(rig: Rig, path: TrackingPath, fraction: float, raw: Raw) -> _Step:

@@ -14,6 +14,7 @@ from time import perf_counter
 from typing import TypeVar
 
 from drivers import error_codes
+from drivers.bus import GUARDS, Exchange
 from drivers.canopen.pdo import (
     HEARTBEAT_PRODUCER,
     MAPPING,
@@ -27,7 +28,6 @@ from drivers.canopen.pdo import (
 )
 from drivers.canopen.pdo_parameters import PRE_OPERATIONAL, PdoParameters
 from drivers.canopen.wire import HEARTBEAT, SYNC, CanWire
-from drivers.drive import GUARDS, Exchange
 from drivers.errors import (
     AccessDenied,
     LinkError,

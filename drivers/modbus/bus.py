@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from time import sleep
 
-from drivers.drive import Exchange
+from drivers.bus import Exchange
 from drivers.errors import AccessDenied, DriveFault, LinkLost, WriteDenied
 from drivers.modbus.client import POST_ANSWER, Client, NoAnswer
 from drivers.modbus.mailbox import MailboxAccess

@@ -9,7 +9,7 @@ import random
 import struct
 from contextlib import AbstractContextManager, nullcontext
 
-from drivers.drive import Exchange
+from drivers.bus import Exchange
 from drivers.errors import AccessDenied, WriteDenied
 from drivers.serial_port import Stream
 from drivers.virtual.device import Device

@@ -6,6 +6,7 @@ import pytest
 
 from commissioning.compensation import propose
 from commissioning.result.found import Found, Quantity
+from drivers.described import Parameters, described
 from drivers.errors import WriteFailed
 from drivers.scaling import Scaling
 from profiles.axis import Mechanics
@@ -37,8 +38,15 @@ def found(
     )  # fmt: skip
 
 
+def parameters(profile: Profile) -> Parameters:
+    return described(profile, SCALING, constant_known=True)
+
+
 def raw(profile: Profile, known: Found, fraction: float = 0.85) -> dict[str, int]:
-    return {c.parameter: c.new_raw for c in propose(profile, SCALING, known, OLD, fraction)}
+    return {
+        c.parameter: c.new_raw
+        for c in propose(profile.compensation, parameters(profile), known, OLD, fraction)
+    }
 
 
 def test_coulomb_and_viscous_with_the_offset_whole() -> None:
@@ -69,7 +77,8 @@ def test_the_other_laws() -> None:
         law=CompensationLaw.SATURATED_LINEAR, gain="coulomb_positive", speed="viscous_gain"
     )
     assert raw(saturated, known) == {"coulomb_positive": 85}
-    assert propose(with_law(law=CompensationLaw.NONE), SCALING, known, OLD) == []
+    none = with_law(law=CompensationLaw.NONE)
+    assert propose(none.compensation, parameters(none), known, OLD) == []
 
 
 def test_a_drive_that_stores_the_negative_direction_with_its_sign() -> None:
@@ -81,11 +90,11 @@ def test_a_drive_that_stores_the_negative_direction_with_its_sign() -> None:
 
 
 def test_rounding_is_said() -> None:
-    change = propose(BASE, SCALING, found(0.10236, None), OLD)[0]
+    change = propose(BASE.compensation, parameters(BASE), found(0.10236, None), OLD)[0]
     assert change.new == pytest.approx(0.087)
     assert change.rounded_by == pytest.approx(-6e-6)
 
 
 def test_a_friction_outside_the_drive_s_range_is_refused() -> None:
     with pytest.raises(WriteFailed, match="outside"):
-        propose(BASE, SCALING, found(1.5, None), OLD)
+        propose(BASE.compensation, parameters(BASE), found(1.5, None), OLD)

@@ -50,8 +50,8 @@ def energised(serve: Serve, wire: str, tmp_path: Path) -> Generator[tuple[Profil
             drive.exchange(0.0)
             yield drive, guardian
         with contextlib.suppress(LinkError):  # answers to the guardian's frames come to us
-            drive.read_raw("max_torque")
-        assert drive.read_raw("max_torque") == 3000, "the way to the drive is ours, as before"
+            drive.read("max_torque")
+        assert drive.read("max_torque").raw == 3000, "the way to the drive is ours, as before"
     finally:
         drive.close()
 
@@ -74,7 +74,7 @@ def comes_to_rest(drive: ProfiledDrive) -> bool:
     until = time.monotonic() + _PATIENCE
     while time.monotonic() < until:
         with contextlib.suppress(Exception):  # answers to the guardian's frames come to us
-            if not drive.is_energised():
+            if not drive.state().is_energised:
                 return True
         time.sleep(_LOOK)
     return False
@@ -228,7 +228,7 @@ def test_a_loop_that_rests_may_be_silent(serve: Serve, tmp_path: Path) -> None:
         guardian.arm()
         guardian.rest()
         time.sleep(0.6)  # more than twice the silence that is a failure
-        assert drive.is_energised()
+        assert drive.state().is_energised
         drive.stop()
     with Journal(home()) as journal:
         assert journal.history("last").events == ()

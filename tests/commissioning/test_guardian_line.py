@@ -18,7 +18,7 @@ import pytest
 import commissioning.guardian
 from commissioning.guardian import NOBODY, Guardian, guarded
 from commissioning.rig.armed import noted
-from drivers.drive import StopFrames
+from drivers.bus import StopFrames
 from drivers.errors import DriveFault, PreflightRefused
 from drivers.link import axis_of, open_drive
 from profiles.axis import Axis
@@ -74,7 +74,10 @@ def test_a_guardian_is_told_what_it_needs_and_how_long_silence_may_be(
     frames = StopFrames(7, ((b"\x01\x02", 0.03),), None)
     for cycle, limit in ((0.001, 0.25), (0.025, 0.25), (0.05, 0.5)):
         drive = SimpleNamespace(
-            in_real_time=True, cycle=cycle, link="modbus-rtu:///dev/x", stop_frames=lambda: frames
+            in_real_time=True,
+            cycle=cycle,
+            link="modbus-rtu:///dev/x",
+            line=SimpleNamespace(stop_frames=lambda: frames),
         )
         axis = Axis(name="a", profile="other", link="virtual://bench")
         with guarded(drive, axis, tmp_path / "p.toml", "run", tmp_path):  # type: ignore[arg-type]
@@ -235,7 +238,7 @@ def test_without_a_guardian_nothing_moves_in_real_time(
     kind = SimpleNamespace(watchdog=SimpleNamespace(kind=watchdog))
     drive = SimpleNamespace(
         in_real_time=True, cycle=0.004, link="virtual://bench", profile=kind,
-        stop_frames=lambda: None,
+        line=SimpleNamespace(stop_frames=lambda: None),
     )  # fmt: skip
     axis = Axis(name="a", profile="other", link="virtual://bench")
     with (

@@ -77,7 +77,7 @@ def test_what_others_say_does_not_pile_up_while_the_guardian_waits() -> None:
         raise LinkLost("cable")
 
     waiting = guardian_process._ByConnection.__new__(guardian_process._ByConnection)
-    waiting._drive = SimpleNamespace(other_master=other_master)  # type: ignore[assignment]
+    waiting._drive = SimpleNamespace(line=SimpleNamespace(other_master=other_master))  # type: ignore[assignment]
     waiting.idle()
     assert asked == [True]
 

@@ -17,7 +17,7 @@ from commissioning.errors import JournalError
 from commissioning.journal import RESTORED, STORED, STORING, Journal
 from commissioning.records import Context, history_of, history_tree
 from commissioning.settings import Settings, put_back, settle
-from drivers.drive import Drive
+from drivers.drive import Drive, Value
 from drivers.errors import LinkLost
 from drivers.link import axis_of, open_drive
 from profiles.errors import UnknownName, UsageError
@@ -62,7 +62,7 @@ def test_a_write_that_fails_leaves_its_intent_open(journal: Journal, drive: Driv
     def dead(name: str, raw: int) -> None:
         raise LinkLost("cable")
 
-    drive.write_raw = dead  # type: ignore[method-assign]
+    drive.write = dead  # type: ignore[method-assign]
     with pytest.raises(LinkLost):
         settings.write("experiment", "max_torque", 500)
     (intent,) = journal.intents(run, open_only=True)
@@ -78,21 +78,21 @@ def test_restore_goes_back_to_the_oldest_value(journal: Journal, drive: Drive) -
     outcome = put_back(drive, journal.intents(run, open_only=True))
     settle(journal, journal.intents(run), outcome)
     assert outcome.restored == ["coulomb_positive"]
-    assert drive.read_raw("coulomb_positive") == 0
+    assert drive.read("coulomb_positive").raw == 0
     assert journal.intents(run, open_only=True) == []
 
 
 def test_restore_leaves_somebody_else_s_value_alone(journal: Journal, drive: Drive) -> None:
     run = begin(journal)
     Settings(journal, run, drive).write("compensation", "coulomb_positive", 50)
-    drive.write_raw("coulomb_positive", 99)
+    drive.write("coulomb_positive", 99)
     intents = journal.intents(run, open_only=True)
     outcome = put_back(drive, intents)
     assert not outcome.complete
     assert "neither the old 0 nor" in str(outcome)
-    assert drive.read_raw("coulomb_positive") == 99
+    assert drive.read("coulomb_positive").raw == 99
     assert put_back(drive, intents, force=True).complete
-    assert drive.read_raw("coulomb_positive") == 0
+    assert drive.read("coulomb_positive").raw == 0
 
 
 def test_restore_on_a_dead_link_names_every_parameter(journal: Journal, drive: Drive) -> None:
@@ -101,10 +101,10 @@ def test_restore_on_a_dead_link_names_every_parameter(journal: Journal, drive: D
     settings.write("experiment", "max_torque", 500)
     settings.write("experiment", "watchdog_time", 20)
 
-    def dead(name: str) -> int:
+    def dead(name: str) -> Value:
         raise LinkLost("cable")
 
-    drive.read_raw = dead  # type: ignore[method-assign]
+    drive.read = dead  # type: ignore[method-assign]
     outcome = settings.restore()
     assert set(outcome.failed) == {"max_torque", "watchdog_time"}
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from commissioning.records import Context
 from commissioning.rig import preflight
 from commissioning.rig.preflight import Limits, choose_limits, look, prove_watchdog, writes
 from commissioning.settings import Settings
+from drivers.drive import DriveState, Value
 from drivers.errors import DriveFault, PreflightRefused
 from drivers.link import axis_of, open_drive
 from drivers.profiled import ProfiledDrive
@@ -36,8 +37,17 @@ def drive() -> Iterator[ProfiledDrive]:
 
 
 def changed(drive: ProfiledDrive, **update: object) -> Profile:
-    drive.profile = drive.profile.model_copy(update=update)
-    return drive.profile
+    """The same drive, as a profile that is other in this describes it."""
+    profile, cycle = drive.profile.model_copy(update=update), drive.cycle
+    drive.__init__(drive._bus, profile, AXIS, drive.link)  # type: ignore[misc]
+    drive.cycle = cycle
+    return profile
+
+
+def says(drive: ProfiledDrive, **what: bool) -> Callable[[], DriveState]:
+    """What it says, other in this."""
+    said = drive.state()._replace(**what)
+    return lambda: said
 
 
 # -- a look that writes nothing -----------------------------------------------------------------------
@@ -51,11 +61,11 @@ def test_a_drive_in_fault_or_with_energy_or_without_torque_mode_is_refused(
     drive: ProfiledDrive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(drive, "in_fault", lambda: True)
+        patch.setattr(drive, "state", says(drive, in_fault=True))
         with pytest.raises(PreflightRefused, match="the drive is in fault"):
             look(drive, AXIS)
     with monkeypatch.context() as patch:
-        patch.setattr(drive, "is_energised", lambda: True)
+        patch.setattr(drive, "state", says(drive, is_energised=True))
         with pytest.raises(PreflightRefused, match="already enabled"):
             look(drive, AXIS)
     changed(drive, modes={})
@@ -75,7 +85,7 @@ def test_a_cycle_must_fit_into_the_watchdog_three_times(drive: ProfiledDrive) ->
 
 
 def test_another_master_is_named(drive: ProfiledDrive, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(drive, "other_master", lambda: "a frame with COB-ID 205h")
+    monkeypatch.setattr(drive.line, "other_master", lambda: "a frame with COB-ID 205h")
     with pytest.raises(PreflightRefused, match=r"another master .* COB-ID 205h was heard"):
         look(drive, AXIS)
 
@@ -84,7 +94,7 @@ def test_a_compensation_that_acts_in_torque_mode_must_be_zero(drive: ProfiledDri
     law = drive.profile.compensation
     changed(drive, compensation=law.model_copy(update={"acts_in": (Mode.TORQUE, Mode.POSITION)}))
     look(drive, AXIS)
-    drive.write_raw("coulomb_positive", 1)
+    drive.write("coulomb_positive", 1)
     with pytest.raises(PreflightRefused, match="coulomb_positive is not zero"):
         look(drive, AXIS)
     changed(drive, compensation=law)
@@ -94,7 +104,7 @@ def test_a_compensation_that_acts_in_torque_mode_must_be_zero(drive: ProfiledDri
 def moving(drive: ProfiledDrive, monkeypatch: pytest.MonkeyPatch, steps: list[int]) -> list[float]:
     """The axis is so many counts further at each second reading of its position; returns the waits."""
     position, waits = [0.0], []
-    monkeypatch.setattr(drive, "read", lambda name: position[0])
+    monkeypatch.setattr(drive, "read", lambda name: Value(0, position[0]))
 
     def wait(seconds: float) -> None:
         waits.append(seconds)
@@ -141,7 +151,7 @@ def test_limits_are_the_user_s_else_the_axis_else_the_drive_s(drive: ProfiledDri
     assert (found.travel, found.torque, found.speed, found.duration) == (1.0, 0.25, 10.0, 15.0)
     own = choose_limits(drive, free, Options(travel=1.0))
     assert own.torque == own.rated == pytest.approx(1.0), "the smaller of rated and allowed torque"
-    assert own.speed == pytest.approx(drive.read("max_speed"))
+    assert own.speed == pytest.approx(drive.read("max_speed").si)
     fast = choose_limits(drive, free, Options(travel=1.0, max_speed=1e6))
     assert fast.speed == own.speed, "never more than the drive allows itself"
 
@@ -153,11 +163,11 @@ def test_a_travel_of_five_hundred_counts_is_the_least(drive: ProfiledDrive) -> N
 
 
 def test_a_torque_above_the_drive_s_own_limit_is_refused(drive: ProfiledDrive) -> None:
-    most = drive.read("max_torque")
+    most = drive.read("max_torque").si
     assert choose_limits(drive, AXIS, Options(max_torque=most)).torque == most
     with pytest.raises(PreflightRefused, match=r"max torque of 3\.1 N\.m is above .* of 3 N\.m"):
         choose_limits(drive, AXIS, Options(max_torque=3.1))
-    drive.write_raw("max_torque", 0)
+    drive.write("max_torque", 0)
     with pytest.raises(PreflightRefused, match=r"own torque limit \('max_torque'\) reads 0 N\.m"):
         choose_limits(drive, AXIS, Options())
     # 0 is how some say "none": who says how much is taken at their word, and it is written
@@ -167,7 +177,7 @@ def test_a_torque_above_the_drive_s_own_limit_is_refused(drive: ProfiledDrive) -
 
 
 def test_a_drive_without_a_speed_limit_wants_one_from_the_user(drive: ProfiledDrive) -> None:
-    drive.write_raw("max_speed", 0)
+    drive.write("max_speed", 0)
     with pytest.raises(UsageError, match="give --max-speed in rad/s"):
         choose_limits(drive, AXIS, Options())
     assert choose_limits(drive, AXIS, Options(max_speed=7.0)).speed == 7.0
@@ -192,16 +202,15 @@ def test_first_motions_are_slow_enough_to_stop_within_half_of_the_travel(
 def test_what_is_written_never_raises_a_limit_of_the_drive(drive: ProfiledDrive) -> None:
     found = preflight.writes(drive, LIMITS)
     assert found["max_torque"] == 500
-    speed = drive.profile.parameters["max_speed"]
-    assert found["max_speed"] == drive.scaling.to_raw(speed, 1.2 * 0.5 / 0.042)
-    assert found["watchdog_time"] == drive.watchdog_settings()["watchdog_time"]
-    drive.write_raw("max_torque", 400)
-    drive.write_raw("max_speed", 1)
+    assert found["max_speed"] == drive.parameters["max_speed"].raw(1.2 * 0.5 / 0.042)
+    assert found["watchdog_time"] == drive.preparation.watchdog()["watchdog_time"]
+    drive.write("max_torque", 400)
+    drive.write("max_speed", 1)
     found = preflight.writes(drive, LIMITS)
     assert (found["max_torque"], found["max_speed"]) == (400, 1)
     tiny = preflight.writes(drive, replace(LIMITS, torque=1e-9))
     assert tiny["max_torque"] == 1, "0 would be no limit in some drives"
-    drive.write_raw("max_torque", 0)
+    drive.write("max_torque", 0)
     assert preflight.writes(drive, LIMITS)["max_torque"] == 500
     changed(drive, limits={})
     assert "max_torque" not in preflight.writes(drive, LIMITS)
@@ -224,40 +233,40 @@ def settings(drive: ProfiledDrive, tmp_path: Path) -> Iterator[Settings]:
 def test_the_drive_s_speed_limit_is_widened_at_most_to_what_it_was(
     drive: ProfiledDrive, settings: Settings
 ) -> None:
-    before = drive.read_raw("max_speed")
+    before = drive.read("max_speed").raw
     preflight.set_limits(drive, settings, LIMITS, lambda text: None)
-    assert drive.read_raw("max_speed") < before
+    assert drive.read("max_speed").raw < before
     preflight.widen_speed(drive, settings, 20.0)
-    assert drive.read("max_speed") == pytest.approx(24.0, rel=0.01)
+    assert drive.read("max_speed").si == pytest.approx(24.0, rel=0.01)
     preflight.widen_speed(drive, settings, 1e6)
-    assert drive.read_raw("max_speed") == before
+    assert drive.read("max_speed").raw == before
     preflight.widen_speed(drive, settings, 1e-9)
-    assert drive.read_raw("max_speed") == 1
+    assert drive.read("max_speed").raw == 1
     assert settings.restore().complete
-    assert drive.read_raw("max_speed") == before
+    assert drive.read("max_speed").raw == before
     changed(drive, limits={})
     preflight.widen_speed(drive, settings, 5.0)
-    assert drive.read_raw("max_speed") == before
+    assert drive.read("max_speed").raw == before
 
 
 def test_a_drive_whose_speed_limit_was_none_gets_ours(
     drive: ProfiledDrive, settings: Settings
 ) -> None:
-    drive.write_raw("max_speed", 0)
+    drive.write("max_speed", 0)
     preflight.widen_speed(drive, settings, 20.0)
-    assert drive.read("max_speed") == pytest.approx(24.0, rel=0.01)
+    assert drive.read("max_speed").si == pytest.approx(24.0, rel=0.01)
 
 
 def test_everything_that_a_job_leaves_as_found_is_journalled_before_it_moves(
     drive: ProfiledDrive, settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(drive, "bus_changes", lambda: {"1400h:01": (5, 6)})
+    monkeypatch.setattr(drive.preparation, "bus", lambda: {"1400h:01": (5, 6)})
     preflight.set_limits(drive, settings, LIMITS, lambda text: None)
     named = {i.parameter for i in settings._journal.intents(settings.run, open_only=True)}
     assert {
         "max_torque", "max_speed", "torque_target", "position_target", "1400h:01", "mode_of_operation",
     } <= named  # fmt: skip
-    assert all(drive.read_raw(name) == raw for name, raw in drive.watchdog_settings().items()), (
+    assert all(drive.read(name).raw == raw for name, raw in drive.preparation.watchdog().items()), (
         "armed"
     )
 
@@ -266,15 +275,15 @@ def test_a_drive_that_is_enabled_by_being_prepared_is_stopped_and_refused(
     drive: ProfiledDrive, settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stops: list[bool] = []
-    stop, write = drive.stop, drive.write_raw
+    stop, write, state = drive.stop, drive.write, drive.state
 
     def written(name: str, raw: int) -> None:
         write(name, raw)
         if name == "mode_of_operation":
-            monkeypatch.setattr(drive, "is_energised", lambda: not stops)
+            monkeypatch.setattr(drive, "state", lambda: state()._replace(is_energised=not stops))
 
-    monkeypatch.setattr(drive, "write_raw", written)
-    monkeypatch.setattr(drive, "mode_codes", lambda: [8])
+    monkeypatch.setattr(drive, "write", written)
+    monkeypatch.setattr(drive.preparation, "mode_codes", lambda: [8])
 
     def stopped() -> object:
         stops.append(True)
@@ -291,8 +300,8 @@ def test_a_drive_that_is_enabled_by_being_prepared_is_stopped_and_refused(
 
 @pytest.fixture
 def armed(drive: ProfiledDrive) -> ProfiledDrive:
-    for name, raw in drive.watchdog_settings().items():
-        drive.write_raw(name, raw)
+    for name, raw in drive.preparation.watchdog().items():
+        drive.write(name, raw)
     return drive
 
 
@@ -312,7 +321,7 @@ def test_a_drive_without_a_watchdog_wants_the_user_s_word(drive: ProfiledDrive) 
         proved(drive)
     assert proved(drive, without=True) == ""
     assert "no watchdog of the drive is proved" in told[0]
-    assert not drive.is_energised()
+    assert not drive.state().is_energised
 
 
 def test_silence_stops_a_drive_with_a_watchdog_and_leaves_it_without_fault(
@@ -323,8 +332,8 @@ def test_silence_stops_a_drive_with_a_watchdog_and_leaves_it_without_fault(
         "proof of the watchdog: silence for 150 ms",
         "the drive noticed it, by itself: switch on disabled, error code 8100h (communication)",
     ]
-    assert not armed.is_energised()
-    assert not armed.in_fault()
+    assert not armed.state().is_energised
+    assert not armed.state().in_fault
     assert proved(armed, before=found) == found
 
 
@@ -344,11 +353,11 @@ def test_the_silence_lasts_three_times_as_long_as_the_watchdog_bears(
 
 
 def test_a_drive_that_goes_on_in_silence_is_stopped_and_refused(drive: ProfiledDrive) -> None:
-    drive.write_raw("watchdog_time", 0)
+    drive.write("watchdog_time", 0)
     before = drive._bus.device.firmware.now  # type: ignore[attr-defined]
     with pytest.raises(PreflightRefused, match=r"did not stop after 150 ms of silence"):
         proved(drive)
-    assert not drive.is_energised()
+    assert not drive.state().is_energised
     passed = drive._bus.device.firmware.now - before  # type: ignore[attr-defined]
     assert passed >= 1e9 * drive.profile.stop_time, "a brake would have had its time"
 
@@ -368,16 +377,16 @@ def test_a_drive_that_stops_before_it_was_silent_is_no_proof(
     with pytest.raises(DriveFault, match="stopped before the proof of its watchdog"):
         proved(armed)
     assert count == [5]
-    assert not armed.is_energised()
+    assert not armed.state().is_energised
 
 
 def test_another_fault_than_the_watchdog_s_stays_in_the_drive(armed: ProfiledDrive) -> None:
-    armed.write_raw("abort_connection_option", 1)
+    armed.write("abort_connection_option", 1)
     found = proved(armed)
     assert "8100h" in found
     with pytest.raises(DriveFault, match="something else has stopped it"):
         proved(armed, before="fault, error code 4310h")
-    assert armed.in_fault(), "it is not reset: somebody has to look it up"
+    assert armed.state().in_fault, "it is not reset: somebody has to look it up"
 
 
 def test_an_axis_that_moves_in_the_silence_is_refused(
@@ -385,22 +394,22 @@ def test_an_axis_that_moves_in_the_silence_is_refused(
 ) -> None:
     read, moved = armed.read, [0.0]
 
-    def shifted(name: str) -> float:
-        value = read(name)
+    def shifted(name: str) -> Value:
+        raw, value = read(name)
         if name == "position_actual":
             value, moved[0] = value + moved[0], 0.0626
-        return value
+        return Value(raw, value)
 
     monkeypatch.setattr(armed, "read", shifted)
     with pytest.raises(PreflightRefused, match=r"moved by \+0\.0626 \(of ±1 that are allowed\)"):
         proved(armed)
     moved[0] = 0.0
 
-    def little(name: str) -> float:
-        value = read(name)
+    def little(name: str) -> Value:
+        raw, value = read(name)
         if name == "position_actual":
             value, moved[0] = value + moved[0], -0.049
-        return value
+        return Value(raw, value)
 
     monkeypatch.setattr(armed, "read", little)
     proved(armed)

@@ -150,7 +150,7 @@ def test_only_torques_are_held_against_the_torque_limit(drive: ProfiledDrive) ->
 def test_a_drive_that_stops_by_itself_ends_the_plan_and_says_why(
     drive: ProfiledDrive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    exchange = drive.exchange
+    exchange, state = drive.exchange, drive.state
 
     def stopped(set_point: float) -> Sample:
         sample = exchange(set_point)
@@ -164,10 +164,10 @@ def test_a_drive_that_stops_by_itself_ends_the_plan_and_says_why(
         run(push(), drive, WIDE, recorder, Interruption())
     assert len(recorder.samples) == 1, "the last sample is in the record"
     with monkeypatch.context() as faulty:
-        faulty.setattr(drive, "in_fault", lambda: len(recorder.samples) > 1)
+        faulty.setattr(drive, "state", lambda: state()._replace(in_fault=len(recorder.samples) > 1))
         with pytest.raises(DriveFault, match="the drive stopped by itself: operation enabled"):
             run(push(), drive, WIDE, recorder, Interruption())
-    monkeypatch.setattr(drive, "status_text", lambda: _raise(LinkLost("cable")))
+    monkeypatch.setattr(drive, "state", lambda: _raise(LinkLost("cable")))
     with pytest.raises(DriveFault, match=r"left operation and cannot be asked why \(cable\)"):
         run(push(), drive, WIDE, Recorder(), Interruption())
 

@@ -12,35 +12,45 @@ from commissioning.errors import JournalError
 from commissioning.journal import Intent, Journal
 from commissioning.records import Context
 from commissioning.settings import Restored, Settings, put_back, settle
+from drivers.described import described
+from drivers.drive import DriveState, Value
 from drivers.errors import LinkLost, WriteFailed
+from drivers.scaling import Scaling
+from profiles.axis import Mechanics
 from profiles.library import load_profile
 from profiles.schema import Profile
 
 PROFILE = load_profile("virtual-canopen")
+SCALING = Scaling(1.0, 4096.0, Mechanics())
 
 
 class Drawer:
     """A drive that is a drawer of raw values; it notes what is done, and fails where it is told to."""
 
     def __init__(self, journal: Journal, profile: Profile = PROFILE) -> None:
-        self.profile = profile
+        self.describe(profile)
+        self.preparation = self
         self.values = dict.fromkeys(profile.parameters, 0)
         self.done: list[str] = []
         self.journalled: list[list[tuple[str, str]]] = []
         self.broken: dict[str, Exception] = {}
-        self.bus: dict[str, tuple[int, int]] = {}
+        self.objects: dict[str, tuple[int, int]] = {}
         self.lock: dict[str, int] = {}
         self.run = ""
         self.energised = False
         self._journal = journal
 
-    def read_raw(self, name: str) -> int:
+    def describe(self, profile: Profile) -> None:
+        self.profile = profile
+        self.parameters = described(profile, SCALING, constant_known=True)
+
+    def read(self, name: str) -> Value:
         self.done.append(f"read {name}")
         if f"read {name}" in self.broken:
             raise self.broken[f"read {name}"]
-        return self.values[name]
+        return Value(self.values[name], 0.0)
 
-    def write_raw(self, name: str, raw: int) -> None:
+    def write(self, name: str, raw: int) -> None:
         self.done.append(f"write {name}={raw}")
         if self.run:
             found = self._journal.intents(self.run)
@@ -49,18 +59,18 @@ class Drawer:
             raise self.broken[f"write {name}"]
         self.values[name] = raw
 
-    def is_energised(self) -> bool:
-        return self.energised
+    def state(self) -> DriveState:
+        return DriveState(self.energised, False, "", "no fault", "")
 
-    def bus_changes(self) -> dict[str, tuple[int, int]]:
-        return self.bus
+    def bus(self) -> dict[str, tuple[int, int]]:
+        return self.objects
 
     def put_back_bus(self, old: dict[str, int]) -> bool:
         self.done.append(f"bus {old}")
         if "bus" in self.broken:
             raise self.broken["bus"]
-        changed = {name: new for name, (_, new) in self.bus.items()} != old
-        self.bus = {name: (value, value) for name, value in old.items()}
+        changed = {name: new for name, (_, new) in self.objects.items()} != old
+        self.objects = {name: (value, value) for name, value in old.items()}
         return changed
 
     def exclusive_access(self) -> dict[str, int]:
@@ -126,9 +136,9 @@ def test_what_could_not_be_written_back_is_left_alone(
         update={"minimum": 0, "maximum": 1000, "largest_step": 100}
     )
     parameters["max_torque"] = narrow
-    drive.profile = PROFILE.model_copy(update={"parameters": parameters})
+    drive.describe(PROFILE.model_copy(update={"parameters": parameters}))
     drive.values["max_torque"] = 2000
-    with pytest.raises(WriteFailed, match=r"reads 2000, which profile .* does not allow .*0…1000"):
+    with pytest.raises(WriteFailed, match=r"reads 2000, which is not allowed to be .*0…1000"):
         settings.write("experiment", "max_torque", 500)
     drive.values["max_torque"] = 500
     with pytest.raises(WriteFailed, match="the step from 500 to 601 is larger than the 100"):
@@ -169,14 +179,14 @@ def test_set_points_are_remembered_as_they_are_and_nothing_else_is(
 def test_what_the_cycle_changes_of_the_bus_is_journalled_and_put_back_at_once(
     journal: Journal, drive: Drawer, settings: Settings
 ) -> None:
-    drive.bus = {"1400h:01": (5, 6), "1600h:00": (2, 3)}
+    drive.objects = {"1400h:01": (5, 6), "1600h:00": (2, 3)}
     settings.remember_bus()
     assert state(journal, drive) == [
         ("1400h:01", 5, 6, "intended"), ("1600h:00", 2, 3, "intended"),
     ]  # fmt: skip
     outcome = settings.restore()
     assert set(outcome.restored) == {"1400h:01", "1600h:00"}
-    assert drive.bus == {"1400h:01": (5, 5), "1600h:00": (2, 2)}
+    assert drive.objects == {"1400h:01": (5, 5), "1600h:00": (2, 2)}
     assert len(drive.done) == 1, "all at once"
     assert {row[3] for row in state(journal, drive)} == {"restored"}
     assert settings.restore() == Restored(), "nothing is left to do"
@@ -283,7 +293,7 @@ def test_a_refused_parameter_does_not_keep_the_others_back(drive: Drawer) -> Non
 
 def test_a_dead_link_is_not_asked_again_and_everything_behind_it_is_named(drive: Drawer) -> None:
     drive.broken["read max_speed"] = LinkLost("cable")
-    drive.bus = {"1400h:01": (5, 6)}
+    drive.objects = {"1400h:01": (5, 6)}
     outcome = restored(
         drive, intent("1400h:01", 5, 6), intent("max_torque", 1, 2), intent("max_speed", 3, 4)
     )
@@ -295,7 +305,7 @@ def test_a_dead_link_is_not_asked_again_and_everything_behind_it_is_named(drive:
 
 
 def test_objects_of_the_bus_that_are_as_before_are_said_to_be(drive: Drawer) -> None:
-    drive.bus = {"1400h:01": (5, 5)}
+    drive.objects = {"1400h:01": (5, 5)}
     assert restored(drive, intent("1400h:01", 5, 6)).already == ["1400h:01"]
     drive.broken["bus"] = LinkLost("cable")
     assert restored(drive, intent("1400h:01", 5, 6)).failed == {"1400h:01": "cable"}

@@ -106,7 +106,7 @@ def test_what_the_first_interruption_says_is_not_hidden_by_a_clean_up() -> None:
                 interruption.check()
         except Interrupted as error:
             with interruption.deferred():
-                error.args = ("interrupted; max_torque is not back",)
+                error.also("max_torque is not back")
             raise
 
     with pytest.raises(Interrupted, match="max_torque is not back"):

@@ -54,23 +54,23 @@ def test_the_whole_life_of_a_drive(drive: Drive, tmp_path: Path) -> None:
     )  # the memory that it is served with
     served = drive.link.startswith(("modbus", "canopen://s"))
     assert int(identity.serial, 16) == (of_its_own if served else AXES["bench"]).serial
-    assert drive.read("rated_torque") == pytest.approx(1.0)
-    assert not drive.is_energised()
+    assert drive.read("rated_torque").si == pytest.approx(1.0)
+    assert not drive.state().is_energised
 
     # parameters: SI in and out, read back, stored
-    drive.write("coulomb_positive", 0.0871)
-    assert drive.read("coulomb_positive") == pytest.approx(0.087)
+    drive.write("coulomb_positive", drive.parameters["coulomb_positive"].checked_raw(0.0871))
+    assert drive.read("coulomb_positive").si == pytest.approx(0.087)
     drive.store()
     with pytest.raises(WriteFailed, match="outside"):
-        drive.write("coulomb_positive", 5.0)
+        drive.write("coulomb_positive", drive.parameters["coulomb_positive"].checked_raw(5.0))
     with pytest.raises(WriteFailed, match="protection"):
-        drive.write_raw("controlword", 15)
+        drive.write("controlword", 15)
     with pytest.raises(UnknownName):
         drive.read("no_such_parameter")
 
     # watchdog armed, energy, cycle
-    for name, raw in drive.watchdog_settings().items():
-        drive.write_raw(name, raw)
+    for name, raw in drive.preparation.watchdog().items():
+        drive.write(name, raw)
     drive.enable(Mode.TORQUE)
     times = []
     for _ in range(20):
@@ -88,9 +88,9 @@ def test_the_whole_life_of_a_drive(drive: Drive, tmp_path: Path) -> None:
     report = drive.stop()
     assert report.deenergised
     assert not report.failures
-    at_rest = drive.read("position_actual")
+    at_rest = drive.read("position_actual").si
     drive.wait(0.1)
-    assert drive.read("position_actual") == at_rest
+    assert drive.read("position_actual").si == at_rest
 
     # position mode holds where it was enabled
     drive.enable(Mode.POSITION)
@@ -98,30 +98,30 @@ def test_the_whole_life_of_a_drive(drive: Drive, tmp_path: Path) -> None:
         sample = drive.exchange(at_rest + 0.001 * n)
     assert sample.position == pytest.approx(at_rest + 0.1, abs=0.03)
     drive.disable()
-    assert not drive.is_energised()
+    assert not drive.state().is_energised
 
     # silence: the drive stops by itself
     drive.enable(Mode.TORQUE)
     for _ in range(5):
         drive.exchange(0.2)
     drive.wait(0.2)
-    assert not drive.is_energised()
-    assert "81" in drive.status_text(), "the error code of a lost master"
+    assert not drive.state().is_energised
+    assert "81" in drive.state().text, "the error code of a lost master"
 
 
 def test_a_drive_in_fault_is_not_enabled_and_resets_without_energy(drive: Drive) -> None:
-    settings = drive.watchdog_settings()
-    drive.write_raw("watchdog_time", settings["watchdog_time"])
-    drive.write_raw("abort_connection_option", 1)
+    settings = drive.preparation.watchdog()
+    drive.write("watchdog_time", settings["watchdog_time"])
+    drive.write("abort_connection_option", 1)
     drive.enable(Mode.TORQUE)
     drive.exchange(0.0)
     drive.wait(0.3)
-    assert drive.in_fault()
+    assert drive.state().in_fault
     with pytest.raises(PreflightRefused, match="in fault"):
         drive.enable(Mode.TORQUE)
     drive.reset_fault()
-    assert not drive.in_fault()
-    assert not drive.is_energised()
+    assert not drive.state().in_fault
+    assert not drive.state().is_energised
 
 
 def test_what_the_drive_refuses_comes_back_as_a_refusal(drive: Drive) -> None:
@@ -150,7 +150,7 @@ def test_a_set_point_that_its_register_cannot_hold_is_refused_and_not_sent(
 ) -> None:
     """By a scale that is wrong: 40 000 in an i16."""
     drive.enable(Mode.TORQUE)
-    step = drive.scaling.step(drive.profile.parameters["torque_target"])
+    step = drive.parameters["torque_target"].step
     with pytest.raises(
         PreflightRefused, match=r"is -?40000 of 'torque_target' .* takes -32768…32767"
     ):
@@ -158,4 +158,4 @@ def test_a_set_point_that_its_register_cannot_hold_is_refused_and_not_sent(
     assert drive.stop().deenergised
     with pytest.raises(PreflightRefused, match="takes"):
         drive.enable(Mode.TORQUE, sign * 40_000 * step)
-    assert not drive.is_energised()
+    assert not drive.state().is_energised

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.drive import Exchange
+from drivers.bus import Exchange
 from drivers.errors import DriveFault, PreflightRefused, WriteFailed
 from drivers.power import Cia402Power, ProcedurePower, perform, power_of
 from profiles.address import Address
@@ -173,16 +173,16 @@ def procedure(machine: Machine) -> ProcedurePower:
 def test_a_procedure_enables_disables_and_tells_its_state() -> None:
     machine = Machine(LEADSHINE, leadshine)
     power = procedure(machine)
-    assert power.text() == "disabled"
+    assert power.said().text == "disabled"
     power.enable(power.idle())
     assert machine.written == [("input_1_function", 131)]
     assert power.is_energised()
-    assert power.text() == "enabled"
+    assert power.said().text == "enabled"
     power.disable(power.idle())
     assert not power.is_energised()
     machine.values["alarm"] = 0x0152
     assert power.in_fault()
-    assert power.text() == "fault (alarm 0152h)"
+    assert power.said().text == "fault (alarm 0152h)"
     power.acknowledge()
     assert machine.written[-1] == ("control", 4369)
 
@@ -251,7 +251,7 @@ def test_a_profile_that_names_no_fault_has_none() -> None:
     machine.values["alarm"] = 1
     power = procedure(machine)
     assert not power.in_fault()
-    assert power.text() == "disabled"
+    assert power.said().text == "disabled"
     assert not power.status(tuple(1 for _ in bare.cycle.in_)).fault
 
 
@@ -309,7 +309,7 @@ def test_each_of_several_values_says_enabled_and_one_says_that_it_brakes() -> No
         machine.values["servo_state"] = state
         cycle = tuple(state if n == "servo_state" else 0 for n in TWO_KEY.cycle.in_)
         status = power.status(cycle)
-        told[state] = power.text(), power.is_energised(), status.enabled, status.stopping
+        told[state] = power.said().text, power.is_energised(), status.enabled, status.stopping
     assert told == {
         0: ("disabled", False, False, False),
         1: ("enabled", True, True, False),

@@ -44,7 +44,7 @@ __all__ = ["JOBS", "Death", "KillRig", "rigs"]
 JOBS = ("identify", "apply", "restore", "commission")
 _STEPS = {
     Journal: ("begin", "intend", "settle", "note", "finish"),
-    ProfiledDrive: ("write_raw", "store"),
+    ProfiledDrive: ("write", "store"),
 }
 _OPTIONS = Options(travel=5.0, max_torque=2.9, cycle=0.015, method="modulating")
 
@@ -115,11 +115,11 @@ class KillRig:
         drive = open_drive(self.axis)
         try:
             drive.wait(0.2)
-            assert not drive.is_energised(), "the axis is energised"
-            if drive.in_fault():
+            assert not drive.state().is_energised, "the axis is energised"
+            if drive.state().in_fault:
                 drive.reset_fault()
             drive.wait(2.0)
-            return {name: drive.read_raw(name) for name in self._watched}
+            return {name: drive.read(name).raw for name in self._watched}
         finally:
             drive.close()
 

@@ -86,15 +86,15 @@ class Rig:
         """Parameters of the drive, after time enough for its own watchdog; it must be de-energised."""
         watch = self._watch
         watch.wait(0.2)
-        assert not watch.is_energised(), "the axis is energised"
-        if watch.in_fault():
+        assert not watch.state().is_energised, "the axis is energised"
+        if watch.state().in_fault:
             watch.reset_fault()
         watch.wait(2.0)  # it coasts to rest before the next case
         if "canopen" not in self.direct:
-            return {name: watch.read_raw(name) for name in self.wire.watched}
+            return {name: watch.read(name).raw for name in self.wire.watched}
         drive = open_drive(Axis(link=self.direct, profile=self.wire.profile))
         try:
-            found = {name: drive.read_raw(name) for name in self.wire.watched}
+            found = {name: drive.read(name).raw for name in self.wire.watched}
         finally:
             drive.close()
         return found | self._look_at_pdos()

@@ -7,7 +7,7 @@ import random
 from collections.abc import Generator
 
 import drivers.link
-from drivers.drive import Bus, Exchange
+from drivers.bus import Bus, Exchange
 from drivers.errors import AccessDenied, WriteDenied
 from drivers.link import Link, Trace, state_file
 from drivers.modbus.registers import decode, encode

@@ -23,6 +23,7 @@ from drivers.errors import DriveFault, LinkLost, WriteDenied, WriteFailed
 from drivers.home import home
 from drivers.link import axis_of, open_drive
 from drivers.modbus.bus import ModbusBus
+from drivers.preparation import Preparation
 from drivers.profiled import ProfiledDrive
 from profiles.address import Address
 from profiles.axis import Axis
@@ -40,7 +41,7 @@ def link(serve: Serve) -> str:
     """A drive that keeps its RAM from one connection to the next, with friction already in its memory."""
     made = serve("bench", "--modbus-tcp", "127.0.0.1:0", "--clock", "step")[0]
     drive = open_drive(axis_of(made))
-    drive.write_raw("coulomb_positive", 20)
+    drive.write("coulomb_positive", 20)
     drive.store()
     drive.close()
     return made
@@ -48,7 +49,7 @@ def link(serve: Serve) -> str:
 
 def values(link: str) -> dict[str, int]:
     drive = open_drive(axis_of(link))
-    found = {name: drive.read_raw(name) for name in NAMES}
+    found = {name: drive.read(name).raw for name in NAMES}
     drive.close()
     return found
 
@@ -152,7 +153,7 @@ def test_what_cannot_be_put_back_is_named_and_can_be_restored_later(
 ) -> None:
     with monkeypatch.context() as broken:
         broken.setattr(Rig, "follow", failing(LinkLost("the link is lost"), 1))
-        write = ProfiledDrive.write_raw
+        write = ProfiledDrive.write
         gone: list[bool] = []
 
         def dead(drive: ProfiledDrive, name: str, raw: int) -> None:
@@ -161,7 +162,7 @@ def test_what_cannot_be_put_back_is_named_and_can_be_restored_later(
                 raise LinkLost("no answer")
             write(drive, name, raw)
 
-        broken.setattr(ProfiledDrive, "write_raw", dead)
+        broken.setattr(ProfiledDrive, "write", dead)
         done = tworelay("commission", link, *ASKED)
     assert done.returncode == 4
     (line,) = done.stderr.strip().splitlines()
@@ -183,14 +184,14 @@ def test_only_what_is_not_back_is_named_and_counts_as_written(
 ) -> None:
     with monkeypatch.context() as broken:
         broken.setattr(Rig, "follow", failing(DriveFault("it tripped"), 1))
-        write = ProfiledDrive.write_raw
+        write = ProfiledDrive.write
 
         def refuses(drive: ProfiledDrive, name: str, raw: int) -> None:
             if (name, raw) == ("coulomb_positive", FOUND["coulomb_positive"]):
                 raise WriteDenied("no")
             write(drive, name, raw)
 
-        broken.setattr(ProfiledDrive, "write_raw", refuses)
+        broken.setattr(ProfiledDrive, "write", refuses)
         done = tworelay("commission", link, *ASKED, "--json", str(tmp_path / "run.json"))
     assert done.returncode == 5
     assert "NOT put back: coulomb_positive (" in done.stderr
@@ -203,7 +204,7 @@ def test_only_what_is_not_back_is_named_and_counts_as_written(
 def test_a_ctrl_c_while_the_drive_is_put_back_hides_nothing(
     link: str, tworelay: Tworelay, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write = ProfiledDrive.write_raw
+    write = ProfiledDrive.write
 
     def pressed(drive: ProfiledDrive, name: str, raw: int) -> None:
         write(drive, name, raw)
@@ -211,7 +212,7 @@ def test_a_ctrl_c_while_the_drive_is_put_back_hides_nothing(
             os.kill(os.getpid(), signal.SIGINT)
 
     monkeypatch.setattr(Rig, "follow", failing(DriveFault("it tripped"), 1))
-    monkeypatch.setattr(ProfiledDrive, "write_raw", pressed)
+    monkeypatch.setattr(ProfiledDrive, "write", pressed)
     done = tworelay("commission", link, *ASKED)
     assert done.returncode == 5
     assert "it tripped; the drive is as it was found" in done.stderr
@@ -260,7 +261,7 @@ def test_a_drive_whose_compensation_cannot_be_seen_at_work_gets_nothing_unproved
     assert "has no position mode in which its compensation acts" in done.stderr
     assert "Nothing was written; 'tworelay apply" in done.stderr
     drive = open_drive(Axis(link=made, profile=str(profile)))
-    assert drive.read_raw("friction_positive") == 0
+    assert drive.read("friction_positive").raw == 0
     drive.close()
 
 
@@ -457,14 +458,14 @@ def test_the_lock_on_other_masters_is_not_stored(
     locked: list[int] = []
     store = ProfiledDrive.store
 
-    def lock(drive: ProfiledDrive) -> dict[str, int]:
+    def lock(drive: Preparation) -> dict[str, int]:
         return {"max_torque": 2000}
 
     def looked(drive: ProfiledDrive) -> None:
-        locked.append(drive.read_raw("max_torque"))
+        locked.append(drive.read("max_torque").raw)
         store(drive)
 
-    monkeypatch.setattr(ProfiledDrive, "exclusive_access", lock)
+    monkeypatch.setattr(Preparation, "exclusive_access", lock)
     monkeypatch.setattr(ProfiledDrive, "store", looked)
     assert tworelay("restore", "--yes").returncode == 0
     assert tworelay("apply", "last", "--yes").returncode == 0
@@ -496,5 +497,5 @@ def test_a_ctrl_c_while_a_fault_is_cleared_is_not_lost(
     assert values(link) == FOUND
     assert STORED not in events()
     drive = open_drive(axis_of(link))
-    assert drive.read_raw("mode_of_operation") == 0, "the settings are back all the same"
+    assert drive.read("mode_of_operation").raw == 0, "the settings are back all the same"
     drive.close()

@@ -43,13 +43,13 @@ def opened(link: str) -> Drive:
 def assert_safe_and_complete(link: str) -> None:
     """The axis is at rest and de-energised, and every parameter is as delivered."""
     drive = opened(link)
-    assert not drive.is_energised()
-    before = drive.read_raw("position_actual")
+    assert not drive.state().is_energised
+    before = drive.read("position_actual").raw
     drive.wait(0.05)
-    assert drive.read_raw("position_actual") == before
-    assert drive.read_raw("max_torque") == 3000
-    assert drive.read_raw("abort_connection_option") == 1
-    assert drive.read_raw("coulomb_positive") == 0
+    assert drive.read("position_actual").raw == before
+    assert drive.read("max_torque").raw == 3000
+    assert drive.read("abort_connection_option").raw == 1
+    assert drive.read("coulomb_positive").raw == 0
     drive.close()
 
 
@@ -180,7 +180,7 @@ def test_a_drive_in_fault(tworelay: Tworelay, serve: Serve) -> None:
     drive.enable(Mode.TORQUE)
     drive.exchange(0.0)
     drive.wait(0.3)  # the watchdog as delivered ends in a fault
-    assert drive.in_fault()
+    assert drive.state().in_fault
     drive.close()
     done = tworelay("identify", link, *TRAVEL)
     one_line(done, 3, "the drive is in fault: fault, error code 8100h")
@@ -194,7 +194,7 @@ def test_an_axis_that_somebody_else_moves(tworelay: Tworelay, serve: Serve) -> N
     done = tworelay("stop", link)
     assert done.returncode == 0
     assert "de-energised" in done.stdout
-    assert not drive.is_energised()
+    assert not drive.state().is_energised
     drive.close()
 
 
@@ -356,7 +356,7 @@ def test_the_link_is_cut_in_mid_test(tworelay: Tworelay, serve: Serve) -> None:
     assert "max_torque" in errors, "what is not put back is named"
     stopped_by_its_watchdog(link)
     drive = opened(link)
-    assert drive.read_raw("max_torque") == 1000
+    assert drive.read("max_torque").raw == 1000
     drive.close()
     refused = tworelay("identify", link, *TRAVEL)
     one_line(refused, 3, "was cut off and left settings changed")
@@ -414,7 +414,7 @@ def stopped_by_its_watchdog(link: str) -> None:
     """Let its time-out pass, and the stop."""
     drive = opened(link)
     drive.wait(0.5)
-    assert not drive.is_energised()
+    assert not drive.state().is_energised
     drive.close()
 
 

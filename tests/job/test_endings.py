@@ -175,7 +175,7 @@ def test_a_write_that_is_refused_half_way_is_said_to_be_half_done(
 ) -> None:
     (link,) = serve("bench", *WIRES["modbus-tcp"], "--clock", "step")
     assert tworelay("identify", link, "--travel", "3", "--yes").returncode == 0
-    write = ProfiledDrive.write_raw
+    write = ProfiledDrive.write
 
     def refuses(drive: ProfiledDrive, name: str, raw: int) -> None:
         if name == "coulomb_negative" and raw:
@@ -183,7 +183,7 @@ def test_a_write_that_is_refused_half_way_is_said_to_be_half_done(
         write(drive, name, raw)
 
     with monkeypatch.context() as broken:
-        broken.setattr(ProfiledDrive, "write_raw", refuses)
+        broken.setattr(ProfiledDrive, "write", refuses)
         done = tworelay("apply", "last", "--yes", "--json", str(tmp_path / "run.json"))
     assert done.returncode == 7
     result = json.loads((tmp_path / "run.json").read_text())
@@ -321,7 +321,7 @@ BASE = ("--travel", "3", "--cycle", "0.004", "--yes")
 
 def in_ram(link: str) -> list[int]:
     drive = open_drive(axis_of(link))
-    found = [drive.read_raw(name) for name in ("coulomb_positive", "coulomb_negative")]
+    found = [drive.read(name).raw for name in ("coulomb_positive", "coulomb_negative")]
     drive.close()
     return found
 
@@ -425,7 +425,7 @@ def test_what_somebody_else_wrote_is_not_ours(
     assert tworelay("identify", link, *BASE).returncode == 0
     assert tworelay("apply", "last", "--yes").returncode == 0
     drive = open_drive(axis_of(link))
-    drive.write_raw("coulomb_positive", 33)
+    drive.write("coulomb_positive", 33)
     drive.close()
     done = tworelay("restore", "--yes")
     assert done.returncode == 7
@@ -441,7 +441,7 @@ def test_values_that_stood_there_before_a_proof_come_back(
 ) -> None:
     assert tworelay("identify", link, *BASE).returncode == 0
     drive = open_drive(axis_of(link))
-    drive.write_raw("coulomb_positive", 7)
+    drive.write("coulomb_positive", 7)
     drive.close()
     monkeypatch.setattr(verify, "reversal_error", follows([1.0, 2.0]))
     done = tworelay("verify", "last", "--yes", "--cycle", "0.004")
@@ -590,7 +590,7 @@ def test_what_is_written_back_is_journalled_before(
     """A restore that is killed: its run has no ending, and nobody claims to know the value."""
     run = measured(tworelay, link, "0.85")
     assert tworelay("apply", run, "--yes").returncode == 0
-    write = ProfiledDrive.write_raw
+    write = ProfiledDrive.write
 
     def killed(drive: ProfiledDrive, name: str, raw: int) -> None:
         write(drive, name, raw)
@@ -598,7 +598,7 @@ def test_what_is_written_back_is_journalled_before(
             raise ZeroDivisionError  # as good as a kill: nothing of ours handles it
 
     with monkeypatch.context() as broken:
-        broken.setattr(ProfiledDrive, "write_raw", killed)
+        broken.setattr(ProfiledDrive, "write", killed)
         assert tworelay("restore", run, "--yes").returncode == 1
     assert kept()["ending"] is None
     assert said(tworelay, run) == "not known"
@@ -613,7 +613,7 @@ def test_values_that_somebody_has_written_already_have_a_way_back(
     run = measured(tworelay, link, "0.85")
     drive = open_drive(axis_of(link))
     for change in kept()["compensation"]:
-        drive.write_raw(change["parameter"], change["new_raw"])
+        drive.write(change["parameter"], change["new_raw"])
     drive.close()
     done = tworelay("apply", run, "--yes")
     assert done.returncode == 0, done.stderr

@@ -30,16 +30,16 @@ def commission(
     assert applied.returncode == 0, applied.stderr
     drive = open_drive(axis_of(link))
     wanted = {item["parameter"]: item["new_raw"] for item in result["compensation"]}
-    assert {name: drive.read_raw(name) for name in wanted} == wanted
-    assert not drive.is_energised()
-    assert drive.read_raw("max_torque") == 3000, "the experiment's limit is put back"
+    assert {name: drive.read(name).raw for name in wanted} == wanted
+    assert not drive.state().is_energised
+    assert drive.read("max_torque").raw == 3000, "the experiment's limit is put back"
     drive.close()
 
     restored = tworelay("restore", "--yes", result["run"])
     assert restored.returncode == 0, restored.stderr
     assert "coulomb_negative, coulomb_positive" in restored.stdout
     drive = open_drive(axis_of(link))
-    assert drive.read_raw("coulomb_positive") == 0
+    assert drive.read("coulomb_positive").raw == 0
     drive.close()
     return result
 

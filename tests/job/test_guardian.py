@@ -40,7 +40,7 @@ def unwatched(serve: Serve, tmp_path: Path, wire: str) -> Axis:
     profile = tmp_path / "unwatched.toml"
     profile.write_text(WITHOUT.format(base=base))
     drive = open_drive(Axis(link=link, profile=base))
-    drive.write_raw("watchdog_time", 0)
+    drive.write("watchdog_time", 0)
     drive.close()
     return Axis(link=link, profile=str(profile))
 
@@ -69,7 +69,7 @@ def left_energised(axis: Axis) -> bool:
             time.sleep(0.1)
             continue
         try:
-            if not drive.is_energised():
+            if not drive.state().is_energised:
                 return False
         finally:
             drive._energised = False  # looked at, not stopped

@@ -169,7 +169,7 @@ def test_a_node_that_was_operational_is_left_so(serve: Serve, tworelay: Tworelay
     link = serve("bench", *WIRES["socketcand"], "--profile", "cia402", *words)[0]
     drive = open_drive(Axis(link=link, profile="cia402"))
     try:
-        list(drive.rehearse(3))
+        list(drive.rehearsal.cycles(3))
     finally:
         drive.close()
     again = open_drive(Axis(link=link, profile="cia402"))

@@ -68,7 +68,7 @@ def test_a_speed_limit_that_reads_zero_is_one(
     from profiles.axis import Axis
 
     drive = open_drive(Axis(link=link, profile="virtual-modbus"))
-    drive.write_raw("max_speed", 0)
+    drive.write("max_speed", 0)
     drive.close()
     done = tworelay("identify", link, "--travel", "3", "--yes")
     assert done.returncode == 2

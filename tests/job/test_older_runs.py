@@ -75,8 +75,8 @@ def test_a_run_that_an_older_version_left_is_finished(
     drive = open_drive(Axis(link=link, profile=known))
     for name in {i.parameter for i in intents} - COMMANDS:
         oldest = next(i.old for i in intents if i.parameter == name)
-        assert drive.read_raw(name) == oldest, name
-    assert drive.read_raw("torque_target") == 0
-    assert not drive.is_energised()
+        assert drive.read(name).raw == oldest, name
+    assert drive.read("torque_target").raw == 0
+    assert not drive.state().is_energised
     drive.close()
     assert tworelay("restore", "--yes").stdout.strip() == "nothing to restore"

@@ -53,6 +53,6 @@ def test_a_job_in_real_time_through_the_guardian_that_owns_the_port(serve: Serve
     with Journal(home()) as journal:
         assert journal.history("last").events == (), "the guardian had nothing to do"
     drive = open_drive(axis_of(link))
-    assert not drive.is_energised()
-    assert drive.read_raw("max_torque") == 3000
+    assert not drive.state().is_energised
+    assert drive.read("max_torque").raw == 3000
     drive.close()

@@ -42,16 +42,16 @@ def test_a_stop_brakes_to_standstill_before_the_energy_goes(serve: Serve, profil
     """With the drive's peak torque from v: v² J / 2 (T + f); on friction alone it would be v² J / 2 f."""
     link = served(serve, profile, "--set", f"inertia={INERTIA}")
     drive = open_drive(Axis(link=link, profile=profile, rated_torque=1.0, encoder=131072))
-    for name, raw in drive.preparations(Mode.TORQUE).items():
-        drive.write_raw(name, raw)
+    for name, raw in drive.preparation.settings(Mode.TORQUE).items():
+        drive.write(name, raw)
     drive.enable(Mode.TORQUE)
     samples = [drive.exchange(0.6) for _ in range(60)]
     v = (samples[-1].position - samples[-2].position) / (samples[-1].time - samples[-2].time)
     assert v > 3.0
     assert drive.stop().deenergised
-    began, ended = samples[-1].position, drive.read("position_actual")
+    began, ended = samples[-1].position, drive.read("position_actual").si
     drive.wait(0.05)
-    assert drive.read("position_actual") == pytest.approx(ended, abs=1e-4)
+    assert drive.read("position_actual").si == pytest.approx(ended, abs=1e-4)
     coasting = v**2 * INERTIA / (2 * COULOMB)
     braking = v**2 * INERTIA / (2 * (PEAK + COULOMB))
     late = 4 * drive.cycle * (v + 0.5 / INERTIA * 4 * drive.cycle)
@@ -70,7 +70,7 @@ def test_position_targets_go_to_a_drive_in_position_mode(
     enable = ProfiledDrive.enable
 
     def watched(drive: ProfiledDrive, mode: Mode, rest: float = 0.0) -> None:
-        modes.append((mode, drive.read_raw("control_mode")))
+        modes.append((mode, drive.read("control_mode").raw))
         enable(drive, mode, rest)
 
     monkeypatch.setattr(ProfiledDrive, "enable", watched)
@@ -88,9 +88,9 @@ def test_position_targets_go_to_a_drive_in_position_mode(
     assert kinds == {"compensation"}
     drive = open_drive(Axis(link=link, profile=TWO_KEY))
     left = {
-        n: drive.read_raw(n) for n in ("control_mode", "key_1", "key_2", "halt", "torque_target")
+        n: drive.read(n).raw for n in ("control_mode", "key_1", "key_2", "halt", "torque_target")
     }
-    rest = drive.read_raw("position_target") - drive.read_raw("position_actual")
+    rest = drive.read("position_target").raw - drive.read("position_actual").raw
     drive.close()
     assert abs(rest) < 2, "a position target that is left is where the axis is"
     assert left == dict.fromkeys(left, 0)
@@ -136,5 +136,5 @@ def test_a_position_that_is_too_far_is_not_sent(
     room = Envelope(0.0, 0.5, 10.0, 1.0, 60.0, cycle=bench.cycle, resolution=1e-4)
     with pytest.raises(EnvelopeTripped, match=message):
         run(plan(), bench, room, Recorder(), Interruption(), mode=Mode.POSITION)
-    assert abs(bench.read("position_target")) < 0.01
-    assert not bench.is_energised()
+    assert abs(bench.read("position_target").si) < 0.01
+    assert not bench.state().is_energised

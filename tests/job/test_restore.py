@@ -65,7 +65,7 @@ def test_restore_refuses_a_value_that_somebody_changed_since(
     link = serve("bench", *WIRES["modbus-tcp"], "--clock", "step")[0]
     assert tworelay("commission", link, *QUICK).returncode == 0
     drive = open_drive(axis_of(link))
-    drive.write_raw("coulomb_positive", 42)
+    drive.write("coulomb_positive", 42)
     drive.close()
     refused = tworelay("restore", "--yes")
     assert refused.returncode == 7

@@ -120,7 +120,7 @@ def test_a_clock_that_was_corrected_backwards_changes_no_order(
     applied = tworelay("apply", "last", "--yes")
     assert applied.returncode == 0, applied.stderr
     drive = open_drive(axis_of(link))
-    assert drive.read_raw("coulomb_positive") == 85
+    assert drive.read("coulomb_positive").raw == 85
     drive.close()
     runs = json.loads(tworelay("history", "--json").stdout)
     assert [round(one["coulomb"]["value"], 2) for one in runs] == [0.3, 0.1], "newest last"

@@ -77,7 +77,7 @@ def test_gains_are_written_only_by_name_and_taken_back(tworelay: Tworelay, serve
 
     def in_drive() -> list[int]:
         drive = open_drive(axis_of(link))
-        found = [drive.read_raw(item["parameter"]) for item in best["parameters"]]
+        found = [drive.read(item["parameter"]).raw for item in best["parameters"]]
         drive.close()
         return found
 

@@ -93,11 +93,11 @@ def test_a_drive_without_a_torque_command_gets_what_a_recording_shows(
         ("friction_velocity_1", 0.5), ("friction_torque_1", 0.0859), ("friction_velocity_2", 300.0),
         ("friction_torque_2", 0.085 + 0.0017 * 300), ("friction_points", 2), ("constant_torque", 0),
     ):  # fmt: skip
-        assert drive.read(name) == pytest.approx(value, rel=0.03, abs=2e-3)
+        assert drive.read(name).si == pytest.approx(value, rel=0.03, abs=2e-3)
     drive.close()
     assert tworelay("restore", "--yes").returncode == 0
     drive = open_drive(Axis(link=link, profile="festo-cmmt"))
-    assert drive.read("friction_torque_1") == drive.read("friction_points") == 0
+    assert drive.read("friction_torque_1").si == drive.read("friction_points").si == 0
     drive.close()
 
 
@@ -130,17 +130,17 @@ def test_leadshine_gets_per_cents_with_the_sign_of_the_direction_and_stores_them
     assert "auto tuning (Pr0.02 other than 0) overwrites" in done.stdout
     drive = open_drive(load_axis(Path(axis)))
     # 85 % of 0.1 N.m is 8.5 % of the rated 1 N.m, and the drive counts whole per cents
-    assert drive.read_raw("coulomb_positive") in (8, 9)
-    assert drive.read_raw("coulomb_negative") == -drive.read_raw("coulomb_positive")
+    assert drive.read("coulomb_positive").raw in (8, 9)
+    assert drive.read("coulomb_negative").raw == -drive.read("coulomb_positive").raw
     # the experiment left nothing behind
-    assert drive.read_raw("control_mode") == drive.read_raw("torque_source") == 0
-    assert not drive.is_energised()
+    assert drive.read("control_mode").raw == drive.read("torque_source").raw == 0
+    assert not drive.state().is_energised
     drive.close()
     stored = json.loads((tmp_path / "drive-0.json").read_text())
     assert stored["coulomb_positive"] in (80, 90)  # of the virtual drive, per mille
     assert tworelay("restore", "--yes").returncode == 0
     drive = open_drive(load_axis(Path(axis)))
-    assert drive.read_raw("coulomb_positive") == 0
+    assert drive.read("coulomb_positive").raw == 0
     drive.close()
 
 
@@ -163,8 +163,8 @@ def test_the_ax2000_gets_a_current_and_is_told_what_else_it_needs(
     assert "takes effect after a save and a reset" in done.stdout
     drive = open_drive(load_axis(path))
     # 85 % of 0.1 N.m, at the twin's 1 N.m for 2 A: 0.17 A, weighted by 1000
-    assert drive.read_raw("friction_current") == 170
-    assert drive.read("friction_current") == pytest.approx(0.085)
+    assert drive.read("friction_current").raw == 170
+    assert drive.read("friction_current").si == pytest.approx(0.085)
     drive.close()
     exported = tmp_path / "exported"
     assert tworelay("export", "last", str(exported)).returncode == 0
@@ -181,14 +181,14 @@ def test_a_drive_without_a_compensation_says_what_its_master_adds(
 ) -> None:
     link = served(serve, "elmo-gold")
     before = open_drive(axis_of(link).model_copy(update={"profile": "elmo-gold"}))
-    before.write_raw("torque_offset", 40)  # a master that is off has left it there
+    before.write("torque_offset", 40)  # a master that is off has left it there
     before.close()
     done = tworelay("identify", link, "--travel", "30", "--yes")
     assert done.returncode == 0, done.stderr
     # 85 % of 0.1 N.m, at 1 N.m rated, in per mille
     assert "torque_offset (60B2h:00) in every cycle +0 +85 * sign(velocity command)" in done.stdout
     after = open_drive(axis_of(link).model_copy(update={"profile": "elmo-gold"}))
-    assert after.read_raw("torque_offset") == 40
+    assert after.read("torque_offset").raw == 40
     after.close()
     done = tworelay("apply", "last", "--yes")
     assert done.returncode == 3
@@ -212,7 +212,7 @@ def test_other_masters_are_locked_out_of_a_lexium_while_it_is_written(
     assert intents[0].parameter == "access_lock"  # first, and put back last
     assert {i.state for i in intents} == {"restored"}
     drive = open_drive(load_axis(Path(axis)))
-    assert drive.read_raw("access_lock") == 0
+    assert drive.read("access_lock").raw == 0
     drive.close()
 
 
@@ -307,7 +307,7 @@ def test_what_was_set_in_the_drive_is_there_again_after_an_experiment(
     done = tworelay("identify", path, "--yes", "--without-watchdog")
     assert done.returncode == 0, done.stderr
     drive = open_drive(load_axis(Path(path)))
-    there = {name: drive.read_raw(name) for name in PRESET[profile]}
+    there = {name: drive.read(name).raw for name in PRESET[profile]}
     drive.close()
     resting = {name: 0 for name in PRESET[profile] if name == "torque_target"}
     assert there == PRESET[profile] | resting

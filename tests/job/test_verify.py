@@ -24,9 +24,9 @@ NAMES = ("coulomb_positive", "coulomb_negative", "viscous_gain", "torque_offset"
 
 def values(link: str) -> list[int]:
     drive = open_drive(axis_of(link))
-    assert not drive.is_energised()
-    assert drive.read_raw("max_torque") == 3000
-    found = [drive.read_raw(name) for name in NAMES]
+    assert not drive.state().is_energised
+    assert drive.read("max_torque").raw == 3000
+    found = [drive.read(name).raw for name in NAMES]
     drive.close()
     return found
 
@@ -73,7 +73,7 @@ def test_what_makes_no_difference_does_not_stay(serve: Serve, tworelay: Tworelay
     assert "the compensation does not help: error after reversals" in done.stderr
     assert "the values from before the run are back in the drive" in done.stderr
     drive = open_drive(axis_of(link))
-    assert [drive.read_raw(name) for name in NAMES] == [0, 0, 0, 0]
+    assert [drive.read(name).raw for name in NAMES] == [0, 0, 0, 0]
     drive.close()
     result = json.loads(done.stdout)
     assert result["verification"]["kept_fraction"] is None

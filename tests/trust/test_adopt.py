@@ -143,8 +143,8 @@ def test_a_hostile_run_energises_no_drive(
     assert named.returncode == 3
     assert nothing_is_known()
     drive = open_drive(axis_of(link))
-    assert not drive.is_energised()
-    assert drive.read_raw("torque_target") == 0
+    assert not drive.state().is_energised
+    assert drive.read("torque_target").raw == 0
     drive.close()
 
 
@@ -549,5 +549,5 @@ def test_a_run_of_ours_is_stopped_and_restored_by_a_profile_that_is_refused_toda
     assert tworelay("stop", link, "--profile", str(path)).returncode == 0
     assert tworelay("restore", run, "--yes").returncode == 0
     drive = open_drive(Axis(link=link, profile="virtual-modbus"))
-    assert drive.read_raw("coulomb_positive") == 0
+    assert drive.read("coulomb_positive").raw == 0
     drive.close()

@@ -19,6 +19,8 @@ __all__ = ["Cia402Power", "PowerStage", "ProcedurePower", "perform", "power_of"]
 _POLL = 0.005  # s between two looks at a state
 _BUSY = 0.05  # s until a busy drive is asked again
 
+_TOLD_AGAIN = 10  # cycles after which a controlword that nobody heard is told again
+
 _WAY_UP = "switch on disabled", "ready to switch on", "switched on", "operation enabled"
 
 T = TypeVar("T")
@@ -161,10 +163,12 @@ class Cia402Power:
         """What `action` gives; `wait` lets time pass until a busy drive is asked again."""
         return patiently(action, self._busy, wait)
 
-    def _tell(self, word: int, wait: Callable[[], float]) -> None:
-        """A controlword; whether it was heard, where no answer says so, the next look at the state tells."""
+    def _tell(self, word: int, wait: Callable[[], float]) -> bool:
+        """A controlword. False: no answer says that it was heard; the next look at the state tells."""
         with contextlib.suppress(NoAnswer):
             self._patiently(lambda: self._bus.write(self._control, word), wait)
+            return True
+        return False
 
     def _pause(self) -> float:
         self._bus.wait(_BUSY)
@@ -193,6 +197,7 @@ class Cia402Power:
             frame[at] = cia402.SHUTDOWN if enabled else cia402.SWITCH_ON
         sent: tuple[str, int] | None = None
         cycles = reached = 0
+        heard = True
 
         def turn() -> float:
             """The cycle feeds the drive's watchdog while brake and ramps take their time."""
@@ -220,13 +225,15 @@ class Cia402Power:
                     turn()  # which notices a drive that has restarted
                 if at is not None:
                     frame[at] = step
-                self._tell(step, turn)
+                heard = self._tell(step, turn)
                 sent, cycles = (here, step), 0
             elif cycles * self._bus.cycle >= self._patience:
                 raise PreflightRefused(_stuck(here, self._patience, enabled=enabled))
             else:
                 turn()
                 cycles += 1
+                if step is not None and not heard and cycles % _TOLD_AGAIN == 0:
+                    heard = self._tell(step, turn)
 
     def status(self, values: tuple[int, ...]) -> Status:
         """What the statusword says."""

@@ -66,12 +66,11 @@ def _reasons(
     if says.protection in _FOR_GOOD:
         at = f"{name} ({what.address})"
         if says.trust is Trust.UNVERIFIED:
-            yield WhyNot("write.unverified", f"{at} is unverified {by}: it is not written", _CHECK)
+            yield WhyNot("write.unverified", f"{at} is unverified {by}", _CHECK)
         if what.doubtful_base:
             yield WhyNot(
                 "write.base",
-                f"{at} is a current, and the rated current ({what.doubtful_base}) is unverified {by}: it "
-                "is not written",
+                f"{at} is a current, and the rated current ({what.doubtful_base}) is unverified {by}",
                 _BASE,
             )
     low, high = says.range

@@ -243,7 +243,7 @@ def test_what_acts_only_once_it_is_stored_cannot_be_tried_and_is_not_written(
     done = tworelay("commission", link, *ASKED, "--profile", str(profile))
     assert done.returncode == 3
     assert "acts only once it is stored, so it cannot be tried step by step" in done.stderr
-    assert "Nothing was written; 'tworelay apply" in done.stderr
+    assert "nothing was written; 'tworelay apply" in done.stderr
     assert values(link) == stored(tmp_path) == FOUND
 
 
@@ -259,7 +259,7 @@ def test_a_drive_whose_compensation_cannot_be_seen_at_work_gets_nothing_unproved
     done = tworelay("commission", made, "--profile", str(profile), *ASKED)
     assert done.returncode == 3
     assert "has no position mode in which its compensation acts" in done.stderr
-    assert "Nothing was written; 'tworelay apply" in done.stderr
+    assert "nothing was written; 'tworelay apply" in done.stderr
     drive = open_drive(Axis(link=made, profile=str(profile)))
     assert drive.read("friction_positive").raw == 0
     drive.close()

@@ -69,7 +69,7 @@ def _change(what: Described, wanted: Wanted, old: int) -> Change:
     raw = what.checked_raw(wanted.value)
     refused = why_not_written(what, raw, old=old)
     if refused is not None and refused.code == "write.step":
-        raise WriteFailed(refused.text)
+        raise WriteFailed(refused.text, code=refused.code, parameter=what.name)
     held = what.si(raw)
     return Change(
         what.name, held, what.unit, held - wanted.value, raw, what.raw_unit, what.si(old), old,

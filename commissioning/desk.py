@@ -78,7 +78,7 @@ class Desk:
     def agree(self, question: str, word: str, undone: str = "nothing was written") -> None:
         """Ask; raises Refused when the answer is no. `undone`: what has not happened then."""
         if not self.confirm(question, word):
-            raise Refused(f"not confirmed: {undone}")
+            raise Refused(f"not confirmed: {undone}", code="refused.not-confirmed")
 
 
 def begin_run(desk: Desk, drive: Drive, identity: Identity, axis: Axis, fraction: float) -> str:
@@ -109,10 +109,14 @@ def none_unfinished(desk: Desk, serial: str, link: str) -> None:
     for run in desk.journal.unfinished(serial, lambda other: same_place(link, other)):
         context = desk.journal.run(run).context
         if context.pid != os.getpid() and is_alive(context.pid, context.started):
-            raise Refused(f"run {run} is still in progress on this drive (process {context.pid})")
+            raise Refused(
+                f"run {run} is still in progress on this drive (process {context.pid})",
+                code="run.in-progress",
+            )
         raise Refused(
             f"run {run} on this drive was cut off and left settings changed; "
-            f"'tworelay restore {run}' puts them back"
+            f"'tworelay restore {run}' puts them back",
+            code="run.cut-off",
         )
 
 
@@ -154,7 +158,8 @@ def _allowed_here(axis: Axis) -> None:
     if axis.name not in (allowed, *allowed.split(",")):  # a name may have a comma in it
         raise Refused(
             f"CI is set and {axis.link} is a real adapter: axis '{axis.name}' is not touched from "
-            f"CI. If it may be, set TWORELAY_ALLOW_REAL={axis.name}"
+            f"CI. If it may be, set TWORELAY_ALLOW_REAL={axis.name}",
+            code="refused.ci",
         )
 
 

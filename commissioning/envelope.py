@@ -110,7 +110,11 @@ class Watch:
             e = self._envelope
             raise EnvelopeTripped(
                 f"torque command {set_point:.4g} {e.effort_unit} is above the limit of "
-                f"{e.torque:.4g} {e.effort_unit}; the axis was stopped"
+                f"{e.torque:.4g} {e.effort_unit}; the axis was stopped",
+                code="limit.torque-command",
+                value=set_point,
+                limit=e.torque,
+                unit=e.effort_unit,
             )
 
     def admit_position(self, set_point: float) -> None:
@@ -119,13 +123,21 @@ class Watch:
             e = self._envelope
             raise EnvelopeTripped(
                 f"position command: {set_point - self._centre:+.4g} {e.position_unit} from the start is "
-                f"beyond ±{self._travel:.4g} {e.position_unit}; the axis was stopped"
+                f"beyond ±{self._travel:.4g} {e.position_unit}; the axis was stopped",
+                code="limit.position-command",
+                value=set_point - self._centre,
+                limit=self._travel,
+                unit=e.position_unit,
             )
         if not abs(set_point - self._commanded) <= self._step:
             e = self._envelope
             raise EnvelopeTripped(
                 f"position command: a step of {set_point - self._commanded:+.4g} {e.position_unit} is more "
-                f"than {self._speed:.4g} {e.position_unit}/s go in one cycle; the axis was stopped"
+                f"than {self._speed:.4g} {e.position_unit}/s go in one cycle; the axis was stopped",
+                code="limit.position-step",
+                value=set_point - self._commanded,
+                limit=self._step,
+                unit=e.position_unit,
             )
         self._commanded = set_point
 
@@ -174,7 +186,11 @@ class Watch:
                 e = self._envelope
                 raise EnvelopeTripped(
                     f"the drive measures a torque of {torque:.4g} {e.effort_unit} against a limit "
-                    f"of {e.torque:.4g} {e.effort_unit}; the axis was stopped"
+                    f"of {e.torque:.4g} {e.effort_unit}; the axis was stopped",
+                    code="limit.torque",
+                    value=torque,
+                    limit=e.torque,
+                    unit=e.effort_unit,
                 )
         else:
             self._over = 0
@@ -187,7 +203,11 @@ class Watch:
         if abs(moved) > _STAYS * e.travel:
             raise EnvelopeTripped(
                 f"the axis, or its encoder, moved by {moved:+.3g} {e.position_unit} while the drive "
-                "was enabled; the axis was stopped. Find out why first"
+                "was enabled; the axis was stopped. Find out why first",
+                code="limit.jump",
+                value=moved,
+                limit=_STAYS * e.travel,
+                unit=e.position_unit,
             )
 
     def _check_direction(self, velocity: float, before: float) -> None:
@@ -220,20 +240,36 @@ class Watch:
             raise EnvelopeTripped(
                 f"travel: the axis is {at:+.4g} {pu} from its start at {speed:.3g} {pu}/s and would "
                 f"stop within {reach:.4g} {pu}, beyond ±{self._travel:.4g} {pu}{first}; the axis was "
-                "stopped. Give more --travel or less --max-torque"
+                "stopped. Give more --travel or less --max-torque",
+                code="limit.travel",
+                value=reach,
+                limit=self._travel,
+                unit=pu,
             )
         if speed > self._speed:
             first = first.format(100 * _FIRST_SPEED, e.speed)
             raise EnvelopeTripped(
                 f"speed: {speed:.4g} {pu}/s is above the limit of {self._speed:.4g} {pu}/s{first}; the "
-                "axis was stopped. Raise --max-speed if the machine allows it"
+                "axis was stopped. Raise --max-speed if the machine allows it",
+                code="limit.speed",
+                value=speed,
+                limit=self._speed,
+                unit=f"{pu}/s",
             )
         if self._heat > e.thermal:
             raise EnvelopeTripped(
                 f"the torque of the last seconds is too much for the motor (i2t budget of "
-                f"{e.thermal:.3g} ({tu})2.s above {e.rated:.3g} {tu}); the axis was stopped"
+                f"{e.thermal:.3g} ({tu})2.s above {e.rated:.3g} {tu}); the axis was stopped",
+                code="limit.heat",
+                value=self._heat,
+                limit=e.thermal,
+                unit=f"({tu})2.s",
             )
         raise EnvelopeTripped(
             f"duration: the experiments take longer than {e.duration:.4g} s; the axis was stopped. "
-            "Raise --duration"
+            "Raise --duration",
+            code="limit.duration",
+            value=sample.time - self._began,
+            limit=e.duration,
+            unit="s",
         )

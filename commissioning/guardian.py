@@ -79,7 +79,8 @@ class Guardian:
         if self._is_dead:
             raise DriveFault(
                 "the guardian process has ended, so nothing would stop the axis if this computer failed; "
-                "it is not moved"
+                "it is not moved",
+                code="guardian.ended",
             )
         self._say(ARM)
 
@@ -91,7 +92,7 @@ class Guardian:
     def _heed(self) -> None:
         """No command goes out beside the stop of a guardian that took the loop for dead."""
         if self.said:
-            raise DriveFault(self.acted())
+            raise DriveFault(self.acted(), code="guardian.acted")
 
     def rest(self) -> None:
         """The loop is silent on purpose; only its death is a failure."""
@@ -109,7 +110,8 @@ class Guardian:
             self._line, self._is_dead = None, True
             raise DriveFault(
                 "the guardian process has ended, so nothing would stop the axis if this computer failed; "
-                f"the axis was stopped{self._taken_back()}"
+                f"the axis was stopped{self._taken_back()}",
+                code="guardian.ended",
             ) from None
 
     def _taken_back(self) -> str:
@@ -167,7 +169,8 @@ def guarded(drive: Drive, axis: Axis, profile: Path, run: str, home: Path) -> Ge
         except (OSError, RuntimeError) as error:
             raise PreflightRefused(
                 f"no guardian process can be started, and without one nothing would stop the axis if this "
-                f"program failed: {error}"
+                f"program failed: {error}",
+                code="preflight.guardian",
             ) from None
         yield guardian
 

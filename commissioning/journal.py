@@ -192,7 +192,8 @@ class Journal:
             if not 0 <= now < END_OF_TIME:
                 raise Refused(
                     f"this computer's clock stands at {now:.0f} s since 1970, outside of 1970 to 9999: "
-                    "set it, so that runs have an order"
+                    "set it, so that runs have an order",
+                    code="refused.clock",
                 )
             stamp = time.strftime("%Y%m%d-%H%M%S", time.localtime(now))
             for n in range(_RUNS_A_SECOND):

@@ -213,7 +213,8 @@ if sys.platform != "win32":
             except OSError as error:
                 raise Refused(
                     f"no lock can be made in {folder} ({error.strerror}): without it two programs could move "
-                    "one axis; remove what is there, or make it writable"
+                    "one axis; remove what is there, or make it writable",
+                    code="refused.lock",
                 ) from None
             self._file = os.fdopen(descriptor, "r+", encoding="utf-8", errors="replace")
             try:

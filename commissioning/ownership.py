@@ -39,7 +39,8 @@ def owned(link: str, doing: str) -> Generator[None]:
             except Taken as taken:
                 raise Refused(
                     f"another tworelay has the bus of {link} ({taken.owner}): wait for it, or end it; "
-                    "'tworelay stop' works in spite of it"
+                    "'tworelay stop' works in spite of it",
+                    code="refused.owned",
                 ) from None
             _mine.locks[bus] = lock
             stack.callback(_give_back, bus)

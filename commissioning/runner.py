@@ -6,7 +6,7 @@ import gc
 from collections.abc import Callable
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 from commissioning.envelope import Envelope
 from commissioning.errors import FeedbackReversed, Interrupted
@@ -21,11 +21,26 @@ from drivers.sample import Sample
 from profiles.errors import TwoRelayError
 from profiles.procedures import Mode
 
-__all__ = ["Recorder", "run", "verified"]
+__all__ = ["Phase", "Recorder", "run", "verified"]
 
 _LATELY = 5.0  # s
 
 T = TypeVar("T")
+
+
+class Phase(NamedTuple):
+    """What happens from a sample on.
+
+    Attributes
+    ----------
+    at : index of that sample
+    kind : a step of the job, or a detail within one
+    text : one line for people
+    """
+
+    at: int
+    kind: Literal["step", "detail"]
+    text: str
 
 
 @dataclass
@@ -35,17 +50,22 @@ class Recorder:
     Attributes
     ----------
     samples : in the order of time
-    phases : (index of the first sample, what happens from there)
+    phases : in the order of time
     on_phase : told about each phase, for progress
     """
 
     samples: list[Sample] = field(default_factory=list)
-    phases: list[tuple[int, str]] = field(default_factory=list)
+    phases: list[Phase] = field(default_factory=list)
     on_phase: Callable[[str], None] = lambda text: None
 
     def phase(self, text: str) -> None:
         """From the next sample on, `text` happens."""
-        self.phases.append((len(self.samples), text))
+        self.phases.append(Phase(len(self.samples), "step", text))
+        self.on_phase(text)
+
+    def detail(self, text: str) -> None:
+        """The same within a step."""
+        self.phases.append(Phase(len(self.samples), "detail", text))
         self.on_phase(text)
 
 
@@ -112,7 +132,7 @@ def run(
             plan.close()
             acted = guardian.acted()
             if acted and not isinstance(error, Interrupted):
-                verified(report, fault := DriveFault(acted, "the guardian"))
+                verified(report, fault := DriveFault(acted, "the guardian", code="guardian.acted"))
                 raise fault from error
             verified(report, error)
             raise
@@ -126,7 +146,7 @@ def verified(report: StopReport, error: BaseException | None) -> None:
     if isinstance(error, TwoRelayError):
         error.also(report)
     elif error is None:
-        raise DriveFault(str(report))
+        raise DriveFault(str(report), code="stop.not-verified")
 
 
 def _left_operation(drive: Drive) -> DriveFault:
@@ -135,6 +155,7 @@ def _left_operation(drive: Drive) -> DriveFault:
         return DriveFault(
             f"the drive was stopped from outside, by {stopper}: the job ends here",
             f"another tworelay ({stopper})",
+            code="stop.from-outside",
         )
     try:
         state = drive.state().text
@@ -144,12 +165,16 @@ def _left_operation(drive: Drive) -> DriveFault:
                 "it disabled from outside: 'tworelay stop', another master, STO, an enable input or a limit "
                 "switch?",
                 "somebody outside of tworelay, or the drive",
+                code="drive.left",
             )
     except TwoRelayError as error:
-        return DriveFault(f"the drive left operation and cannot be asked why ({error})")
+        return DriveFault(
+            f"the drive left operation and cannot be asked why ({error})", code="drive.left"
+        )
     return DriveFault(
         f"the drive stopped by itself: {state}; remove the cause, then try again",
         f"the drive ({state})",
+        code="drive.stopped",
     )
 
 

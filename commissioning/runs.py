@@ -31,7 +31,7 @@ from commissioning.result.endings import (
     SettingsState,
 )
 from commissioning.result.found import Units
-from commissioning.runner import Recorder
+from commissioning.runner import Phase, Recorder
 from drivers.sample import Sample
 from profiles.dcf import dcf
 from profiles.errors import UsageError
@@ -60,6 +60,8 @@ _FOREIGN = "run.json", "profile.toml", "samples.npz"
 _FILES = *_FOREIGN, "report.html", "loci.svg", "loci.png", "loci.pdf"
 _LARGEST_SAMPLES = 500_000_000  # bytes
 _CURVE = "curve."
+# what was a detail in runs of 0.1.0, which kept no kind of a phase
+_DETAILS_OF_0_1 = "staging", "relay test 2, ", "stop path", "a dozen periods"
 
 
 class Samples:
@@ -72,7 +74,7 @@ class Samples:
     def __init__(
         self,
         columns: dict[str, Array],
-        phases: list[tuple[int, str]],
+        phases: list[Phase],
         curves: dict[str, Array] | None = None,
     ) -> None:
         self.columns = columns
@@ -200,9 +202,9 @@ class RunFolder:
             with np.load(data, allow_pickle=False) as archive:
                 columns = {name: np.asarray(archive[name], float) for name in _COLUMNS}
                 phases = [
-                    (int(n), str(text))
-                    for n, text in json.loads(str(archive["phases"]))
-                    if int(n) >= 0
+                    _phase(*told)
+                    for told in json.loads(str(archive["phases"]))
+                    if int(told[0]) >= 0
                 ]
                 curves |= {
                     name.removeprefix(_CURVE): np.asarray(archive[name], float)
@@ -346,7 +348,7 @@ def _merged(before: Mapping[str, Array], new: Mapping[str, Array]) -> dict[str, 
 
 def _archive(samples: Samples) -> bytes:
     archive = io.BytesIO()
-    phases = np.array(json.dumps(samples.phases))
+    phases = np.array(json.dumps([(p.at, p.text, p.kind) for p in samples.phases]))
     curves = {_CURVE + name: curve for name, curve in samples.curves.items()}
     np.savez(archive, allow_pickle=False, phases=phases, **samples.columns, **curves)
     return archive.getvalue()
@@ -366,6 +368,13 @@ def _check_columns(columns: dict[str, Array]) -> None:
     for name in ("time", "position", "sent"):
         if not np.all(np.isfinite(columns[name])):
             raise ValueError(f"'{name}' holds what is no finite number")
+
+
+def _phase(at: int, text: str, kind: str | None = None) -> Phase:
+    """A phase as samples.npz has it."""
+    if kind is None:
+        kind = "detail" if str(text).startswith(_DETAILS_OF_0_1) else "step"
+    return Phase(int(at), "detail" if kind == "detail" else "step", str(text))
 
 
 def _check_array(packed: zipfile.ZipFile, item: zipfile.ZipInfo) -> None:

@@ -71,7 +71,9 @@ class Settings:
             is_command=parameter in SET,
         )
         if refused is not None:
-            raise WriteFailed(refused.text, hint=refused.hint)
+            raise WriteFailed(
+                refused.text, code=refused.code, hint=refused.hint, parameter=parameter
+            )
         intent = self._journal.intend(self.run, kind, parameter, old, new)
         self._drive.write(parameter, new)
         self._journal.settle([intent], "verified")
@@ -122,7 +124,7 @@ class Settings:
             if not outcome.complete:
                 text = f"other masters are still locked out of the drive: {outcome}"
                 if error is None:
-                    raise WriteFailed(text)
+                    raise WriteFailed(text, code="restore.incomplete")
                 if isinstance(error, TwoRelayError):
                     error.also(text)
 
@@ -245,7 +247,7 @@ class _Back:
             outcome.already.append(name)
             return
         if name in self._commands.names and self._drive.state().is_energised:
-            raise WriteFailed("not put back while the drive is enabled")
+            raise WriteFailed("not put back while the drive is enabled", code="write.enabled")
         try:
             self._drive.write(name, plan.old)
         except WriteDenied as denied:
@@ -262,7 +264,7 @@ def _put_back_bus(drive: Drive, old: dict[str, int], outcome: Restored, dead: st
         return
     try:
         if dead is not None:
-            raise LinkError(dead)
+            raise LinkError(dead, code="link.lost")
         done = outcome.restored if drive.preparation.put_back_bus(old) else outcome.already
         done += old
     except TwoRelayError as error:

@@ -40,7 +40,11 @@ class Access:
         """Raw value of a parameter; raises LinkError, AccessDenied."""
         parameter = self.parameter(name)
         if parameter.access is Way.WRITE_ONLY:
-            raise WriteFailed(f"'{name}' ({parameter.address}) can only be written")
+            raise WriteFailed(
+                f"'{name}' ({parameter.address}) can only be written",
+                code="read.write-only",
+                parameter=name,
+            )
         try:
             return self.patiently(lambda: self.bus.read(parameter.address))
         except AccessDenied as error:
@@ -71,7 +75,11 @@ class Access:
         if there != raw:
             raise WriteFailed(
                 f"'{name}' ({parameter.address}) reads back {there} after {raw} was written: "
-                "the drive did not take it"
+                "the drive did not take it",
+                code="write.not-taken",
+                parameter=name,
+                value=there,
+                wanted=raw,
             )
 
     def patiently(self, action: Callable[[], T], patience: float | None = None) -> T:

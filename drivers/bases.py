@@ -67,7 +67,8 @@ def _torque_constant(profile: Profile, axis: Axis, rated: float, read: Read) -> 
     if current <= 0:
         raise PreflightRefused(
             f"profile '{profile.name}' has parameters in A, and the motor's rated current is not known; give "
-            "torque_constant (N.m/A) in the axis file"
+            "torque_constant (N.m/A) in the axis file",
+            code="scale.current",
         )
     return rated / current
 
@@ -78,19 +79,22 @@ def _rated_torque(profile: Profile, read: Read) -> float:
     if base is None:
         raise PreflightRefused(
             f"profile '{profile.name}' has no rated torque, so the torque scale is unknown; give "
-            "rated_torque (N.m of the motor) in the axis file"
+            "rated_torque (N.m of the motor) in the axis file",
+            code="scale.torque",
         )
     told = read("rated_torque")
     if told is None:
         raise PreflightRefused(
             f"the drive does not tell its rated torque ({base.address}), so its torque scale is unknown; "
-            "give rated_torque (N.m of the motor) in the axis file"
+            "give rated_torque (N.m of the motor) in the axis file",
+            code="scale.torque",
         )
     rated = told * base.scale
     if rated <= 0:
         raise PreflightRefused(
             f"the drive's rated torque ({base.address}) is {rated:g} N.m, so its torque scale is "
-            "unknown; set up the motor data in the drive, or give rated_torque in the axis file"
+            "unknown; set up the motor data in the drive, or give rated_torque in the axis file",
+            code="scale.torque",
         )
     return rated
 
@@ -101,7 +105,8 @@ def _encoder(profile: Profile, read: Read) -> float:
     if "encoder_increments" not in known:
         raise PreflightRefused(
             f"profile '{profile.name}' has no encoder resolution, so the position scale is unknown; give "
-            "encoder (increments per motor revolution) in the axis file"
+            "encoder (increments per motor revolution) in the axis file",
+            code="scale.position",
         )
     address = known["encoder_increments"].address
     increments = read("encoder_increments")
@@ -116,7 +121,8 @@ def _encoder(profile: Profile, read: Read) -> float:
     if encoder is None:
         raise PreflightRefused(
             f"the drive does not tell its encoder resolution ({address}), so its position scale is unknown; "
-            "give encoder (increments per motor revolution) in the axis file"
+            "give encoder (increments per motor revolution) in the axis file",
+            code="scale.position",
         )
     return encoder
 
@@ -134,18 +140,21 @@ def _by_factors(encoder: float | None, read: Read) -> float:
         if feed is not None and found is not None and abs(old / found - 1) > _ALIKE:
             raise PreflightRefused(
                 f"the drive's objects contradict each other: 608Fh and 6093h make {old:g} position units a "
-                f"motor revolution, 6092h and 6091h {found:g}; {_ASKED}"
+                f"motor revolution, 6092h and 6091h {found:g}; {_ASKED}",
+                code="scale.contradiction",
             )
         found = old
     if found is None:
         raise PreflightRefused(
             "the drive does not tell its encoder resolution (608Fh:01), nor a feed constant (6092h), so its "
-            "position scale is unknown; give encoder (position units a motor revolution) in the axis file"
+            "position scale is unknown; give encoder (position units a motor revolution) in the axis file",
+            code="scale.position",
         )
     if found < _FEWEST and encoder is not None and encoder > found:
         raise PreflightRefused(
             f"by 6092h and 6091h a motor revolution has {found:g} position units, by 608Fh {encoder:g} "
-            f"increments: is 6092h set up, or as it was delivered? {_ASKED[0].upper()}{_ASKED[1:]}"
+            f"increments: is 6092h set up, or as it was delivered? {_ASKED[0].upper()}{_ASKED[1:]}",
+            code="scale.position-units",
         )
     return found
 
@@ -162,7 +171,8 @@ def _positive(numerator: int, denominator: int, what: str) -> float:
     if numerator <= 0 or denominator <= 0:
         raise PreflightRefused(
             f"the drive's {what} is {numerator}/{denominator}: its position scale is unknown; set it up in "
-            "the drive, or give encoder in the axis file"
+            "the drive, or give encoder in the axis file",
+            code="scale.position",
         )
     return numerator / denominator
 

@@ -64,11 +64,15 @@ class Described:
         if not low <= self.parameter.number(raw) <= high:
             raise WriteFailed(
                 f"'{self.name}': {value:.6g} {self.unit} is outside {low * self.step:.6g}…"
-                f"{high * self.step:.6g} {self.unit}; nothing was written"
+                f"{high * self.step:.6g} {self.unit}",
+                code="write.range",
+                parameter=self.name,
             )
         if raw in self.parameter.forbidden:
             raise WriteFailed(
-                f"'{self.name}': raw value {raw} must never be written to this drive; nothing was written"
+                f"'{self.name}': raw value {raw} must never be written to this drive",
+                code="write.range",
+                parameter=self.name,
             )
         return raw
 

@@ -66,10 +66,11 @@ class AccessDenied(TwoRelayError):
         busy: bool = False,
         missing: bool = False,
         length: bool = False,
+        code: str = "",
         hint: str = "",
         **facts: float | str,
     ) -> None:
-        super().__init__(message, hint=hint, **facts)
+        super().__init__(message, code=code, hint=hint, **facts)
         self.busy = busy
         self.missing = missing
         self.length = length
@@ -98,7 +99,13 @@ class DriveFault(TwoRelayError):
     said_by = "the drive"
 
     def __init__(
-        self, message: str, said_by: str = "", *, hint: str = "", **facts: float | str
+        self,
+        message: str,
+        said_by: str = "",
+        *,
+        code: str = "",
+        hint: str = "",
+        **facts: float | str,
     ) -> None:
-        super().__init__(message, hint=hint, **facts)
+        super().__init__(message, code=code, hint=hint, **facts)
         self.said_by = said_by or type(self).said_by

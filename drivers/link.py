@@ -112,7 +112,8 @@ def open_drive(
         bus.close()
         raise LinkError(
             f"something answers on {link.text}, but not like profile '{profile.name}': {error}; are "
-            "unit or node and profile right?"
+            "unit or node and profile right?",
+            code="link.profile",
         ) from None
     except BaseException:
         bus.close()
@@ -212,7 +213,8 @@ def check_files_of_others(text: str, *keys: str) -> None:
         if named is not None and not Path(named).resolve().is_relative_to(home().resolve()):
             raise Refused(
                 f"{text}: its {key} is a file outside {home()}, and the link was written elsewhere: give one "
-                "of yours with --link"
+                "of yours with --link",
+                code="link.file",
             )
 
 

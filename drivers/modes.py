@@ -27,10 +27,11 @@ class Modes:
         if not codes and mode is Mode.TORQUE:
             raise PreflightRefused(
                 f"{self._profile} has no torque command, so no relay experiment can be run: record a "
-                "motion with the drive's own software, and give it to 'tworelay analyze FILE --for AXIS'"
+                "motion with the drive's own software, and give it to 'tworelay analyze FILE --for AXIS'",
+                code="mode.no-torque",
             )
         if not codes:
-            raise PreflightRefused(f"{self._profile} has no {mode} mode")
+            raise PreflightRefused(f"{self._profile} has no {mode} mode", code="mode.none")
         bits = self._access.optional("supported_modes")
         if bits is None:
             return codes[0]
@@ -39,7 +40,8 @@ class Modes:
                 return code
         wanted = " or ".join(str(code.code) for code in codes)
         raise PreflightRefused(
-            f"the drive supports no {mode} mode: supported modes {bits:08X}h lack mode {wanted}"
+            f"the drive supports no {mode} mode: supported modes {bits:08X}h lack mode {wanted}",
+            code="mode.unsupported",
         )
 
     def set(self, code: int) -> None:
@@ -50,7 +52,9 @@ class Modes:
             return
         raise PreflightRefused(
             f"the drive stays in mode {self._access.read('mode_display')} instead of {code} for "
-            f"{patience:g} s; if it needs longer, say so in its profile: [patience] mode"
+            f"{patience:g} s; if it needs longer, say so in its profile: [patience] mode",
+            code="mode.not-taken",
+            wanted=code,
         )
 
     def write(self, code: int) -> None:
@@ -89,7 +93,8 @@ class SetPoint:
         out = access.profile.cycle.out
         if code.set_point not in out:
             raise PreflightRefused(
-                f"{access.profile} does not exchange '{code.set_point}' in its cycle"
+                f"{access.profile} does not exchange '{code.set_point}' in its cycle",
+                code="mode.not-in-cycle",
             )
         self.mode = mode
         self.name = code.set_point
@@ -110,5 +115,10 @@ class SetPoint:
         raise PreflightRefused(
             f"{raw * step:.4g} {unit} is {raw} of '{self.name}' ({self.address}), which takes {low:.0f}…"
             f"{high:.0f}, that is {low * step:.4g}…{high * step:.4g} {unit}: is its scale right in "
-            f"profile '{self._what.profile}', and are gear, rated_torque and encoder in the axis file?"
+            f"profile '{self._what.profile}', and are gear, rated_torque and encoder in the axis file?",
+            code="set-point.range",
+            parameter=self.name,
+            value=raw,
+            lowest=low,
+            highest=high,
         )

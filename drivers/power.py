@@ -104,7 +104,8 @@ def perform(
                 break
             if waited >= step.within:
                 raise WriteFailed(
-                    f"{what}: '{name}' reads {there} for {step.within:g} s instead of {step.equals}"
+                    f"{what}: '{name}' reads {there} for {step.within:g} s instead of {step.equals}",
+                    code="procedure.in-vain",
                 )
             waited += wait()
 
@@ -210,13 +211,17 @@ class Cia402Power:
             if here in goals:
                 return
             if enabled and cia402.status(word).fault:
-                raise DriveFault(f"the drive went into fault while enabling: {self._describe()}")
+                raise DriveFault(
+                    f"the drive went into fault while enabling: {self._describe()}",
+                    code="power.fault",
+                )
             height = _WAY_UP.index(here) if here in _WAY_UP else 0
             if enabled and height < reached:
                 raise DriveFault(
                     f"the drive fell back to '{here}' while it was enabled (STO, a limit switch, an enable "
                     f"input; or its watchdog, for which this link is too slow: 'tworelay latency'): "
-                    f"{self._describe()}; it is not tried again"
+                    f"{self._describe()}; it is not tried again",
+                    code="power.fell-back",
                 )
             reached = height
             step = cia402.next_controlword(word, enabled=enabled)
@@ -228,7 +233,9 @@ class Cia402Power:
                 heard = self._tell(step, turn)
                 sent, cycles = (here, step), 0
             elif cycles * self._bus.cycle >= self._patience:
-                raise PreflightRefused(_stuck(here, self._patience, enabled=enabled))
+                raise PreflightRefused(
+                    _stuck(here, self._patience, enabled=enabled), code="power.stuck"
+                )
             else:
                 turn()
                 cycles += 1
@@ -298,7 +305,8 @@ class ProcedurePower:
         """The profile's reset steps; raises PreflightRefused where there are none."""
         if not self._power.reset:
             raise PreflightRefused(
-                f"profile '{self._profile.name}' has no way to reset a fault: reset it at the drive"
+                f"profile '{self._profile.name}' has no way to reset a fault: reset it at the drive",
+                code="fault.no-reset",
             )
         self._perform(self._power.reset, "reset", lambda: self._pause(_POLL))
 
@@ -321,9 +329,14 @@ class ProcedurePower:
         wanted = self._power.enabled
         while (self._holds(wanted) if enabled else self.is_energised()) is not enabled:
             if enabled and self.in_fault():
-                raise DriveFault(f"the drive went into fault while enabling: {self._describe()}")
+                raise DriveFault(
+                    f"the drive went into fault while enabling: {self._describe()}",
+                    code="power.fault",
+                )
             if waited >= self._patience:
-                raise PreflightRefused(_stuck(self.said().text, self._patience, enabled=enabled))
+                raise PreflightRefused(
+                    _stuck(self.said().text, self._patience, enabled=enabled), code="power.stuck"
+                )
             waited += self._turn(frame)
 
     def _perform(self, steps: tuple[Step, ...], what: str, wait: Callable[[], float]) -> None:

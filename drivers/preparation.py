@@ -42,7 +42,8 @@ class Preparation:
                 parameter = self._access.parameter(condition.parameter)
                 raise PreflightRefused(
                     f"'{condition.parameter}' ({parameter.address}, {parameter.title}) reads {there}, "
-                    f"and {condition}: set it in the drive first"
+                    f"and {condition}: set it in the drive first",
+                    code="preflight.requires",
                 )
         self._check_enabling_value()
 
@@ -56,7 +57,8 @@ class Preparation:
             if self._access.read(step.write) == step.raw:
                 raise PreflightRefused(
                     f"'{step.write}' ({self._access.parameter(step.write).address}) reads {step.raw}, "
-                    "which enables the drive: what uses it? Set it to another value first"
+                    "which enables the drive: what uses it? Set it to another value first",
+                    code="preflight.enabling-value",
                 )
 
     def check_set_points(self, mode: Mode, largest: float) -> None:

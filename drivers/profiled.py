@@ -132,10 +132,14 @@ class ProfiledDrive:
         commands = name in SET or name in self.preparation.power()
         is_command = what.protection is Protection.COMMAND and commands
         if is_command and self._is_energised():
-            raise WriteFailed(f"'{name}' is not put back while the drive is enabled")
+            raise WriteFailed(
+                f"'{name}' is not put back while the drive is enabled",
+                code="write.enabled",
+                parameter=name,
+            )
         refused = why_not_written(what, raw, is_command=is_command)
         if refused is not None:
-            raise WriteFailed(refused.text, hint=refused.hint)
+            raise WriteFailed(refused.text, code=refused.code, hint=refused.hint, parameter=name)
         try:
             if name == "mode_of_operation":
                 self._modes.write(raw)
@@ -165,10 +169,14 @@ class ProfiledDrive:
         """Run the profile's store procedure; raises WriteFailed."""
         if self.memory is None:
             raise WriteFailed(
-                f"{self.profile} has no store procedure: the values are lost at power-off"
+                f"{self.profile} has no store procedure: the values are lost at power-off",
+                code="store.none",
             )
         if self._is_energised():
-            raise WriteFailed("nothing is stored while the drive is enabled: disable it first")
+            raise WriteFailed(
+                "nothing is stored while the drive is enabled: disable it first",
+                code="store.enabled",
+            )
         steps, access = self.memory.steps, self._access
         patience = self.profile.patience.save
         with self._bus.answering_within(patience):  # some are silent while they store
@@ -216,14 +224,16 @@ class ProfiledDrive:
         self._power.acknowledge()
         if not self._access.comes(lambda: not self._in_fault(), self.profile.patience.reset):
             raise PreflightRefused(
-                f"the drive stays in fault after a reset: {self.state().text}; remove its cause"
+                f"the drive stays in fault after a reset: {self.state().text}; remove its cause",
+                code="fault.stays",
             )
 
     def enable(self, mode: Mode, rest: float = 0.0) -> None:
         """Energise in `mode` with `rest` (SI) as the set-point in force from the first moment."""
         if self._in_fault():
             raise PreflightRefused(
-                f"the drive is in fault: {self.state().text}; remove the cause and reset it"
+                f"the drive is in fault: {self.state().text}; remove the cause and reset it",
+                code="preflight.fault",
             )
         code = self._select(mode)
         if code is not None:

@@ -31,7 +31,8 @@ class Rehearsal:
         """Raises PreflightRefused where the cycle must not be exchanged without an experiment."""
         if self._is_energised():
             raise PreflightRefused(
-                "the drive is enabled, so somebody else controls it: its cycle is not disturbed"
+                "the drive is enabled, so somebody else controls it: its cycle is not disturbed",
+                code="refused.enabled",
             )
         profile = self._access.profile
         steps = self._modes.supported(Mode.TORQUE).before
@@ -40,7 +41,8 @@ class Rehearsal:
             raise PreflightRefused(
                 f"a cycle of {profile} needs {settings[0]} set before (or the drive may store each "
                 "command): the experiment does that, and puts it back; this measurement writes no "
-                "setting. 'tworelay identify' tells how late its cycles were"
+                "setting. 'tworelay identify' tells how late its cycles were",
+                code="rehearsal.settings",
             )
 
     def cycles(self, count: int) -> Iterator[Exchange]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import pi
 
-from drivers.errors import WriteFailed
 from profiles.address import Address
 from profiles.axis import Mechanics
 from profiles.parameter import Parameter, Unit
@@ -40,30 +39,6 @@ class Scaling:
         """Value of one raw step in SI at the axis; negative where the drive counts against its motor."""
         step = parameter.scale * self.step_of(parameter.unit)
         return -step if parameter.address in self.turned else step
-
-    def to_si(self, parameter: Parameter, raw: float) -> float:
-        """SI value of `raw`."""
-        return parameter.number(raw) * self.step(parameter)
-
-    def to_raw(self, parameter: Parameter, value: float) -> int:
-        """Nearest raw value to `value` (SI); not yet checked against the range."""
-        return parameter.nearest_raw(value / self.step(parameter))
-
-    def checked_raw(self, name: str, parameter: Parameter, value: float) -> int:
-        """Nearest raw value, checked against range and forbidden values; raises WriteFailed."""
-        raw = self.to_raw(parameter, value)
-        low, high = parameter.range
-        if not low <= parameter.number(raw) <= high:
-            unit, step = self.unit_text(parameter), self.step(parameter)
-            raise WriteFailed(
-                f"'{name}': {value:.6g} {unit} is outside {low * step:.6g}…{high * step:.6g} {unit}; "
-                "nothing was written"
-            )
-        if raw in parameter.forbidden:
-            raise WriteFailed(
-                f"'{name}': raw value {raw} must never be written to this drive; nothing was written"
-            )
-        return raw
 
     def unit_text(self, parameter: Parameter) -> str:
         """ASCII unit of the SI value at the axis."""

@@ -47,11 +47,13 @@ def set_simulation(
         address, scale = _TWIN[profile.bus, name], _MICROSECOND
     else:
         raise LinkError(
-            f"clock=step needs a served virtual drive; profile '{profile.name}' has no '{name}'"
+            f"clock=step needs a served virtual drive; profile '{profile.name}' has no '{name}'",
+            code="link.no-step",
         )
     try:
         write(address, round(seconds / scale))
     except AccessDenied:
         raise LinkError(
-            "the drive does not step: serve it with --clock step, or leave clock=step away"
+            "the drive does not step: serve it with --clock step, or leave clock=step away",
+            code="link.no-step",
         ) from None

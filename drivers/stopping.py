@@ -225,7 +225,8 @@ class StopPath:
                     return
             if self._bus.now() >= deadline:
                 raise WriteFailed(
-                    f"stop: '{name}' reads {there} for {step.within:g} s instead of {step.equals}"
+                    f"stop: '{name}' reads {there} for {step.within:g} s instead of {step.equals}",
+                    code="procedure.in-vain",
                 )
             self._bus.wait(_POLL)
 

@@ -74,7 +74,10 @@ class TwoRelayError(Exception):
     said_by = ""
     noted = False
 
-    def __init__(self, message: str, *, hint: str = "", **facts: float | str) -> None:
+    def __init__(
+        self, message: str, *, code: str = "", hint: str = "", **facts: float | str
+    ) -> None:
+        self.code = code or type(self).code
         self.text = " ".join(message.split())
         self.hint = hint
         self.facts = facts

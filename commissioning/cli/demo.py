@@ -53,7 +53,8 @@ def command(clock: str) -> None:
             link = server.stdout.readline().strip() if server.stdout else ""
             if not link:
                 raise LinkError(
-                    "the virtual drive of the demo did not start; its own line says why"
+                    "the virtual drive of the demo did not start; its own line says why",
+                    code="link.demo",
                 )
             truth = AXES[AXIS]
             screen.say(f"virtual drive '{AXIS}' serves {link}")

@@ -55,7 +55,9 @@ def loci(run: str, amplitude: float | None, hysteresis: float | None, output: st
         run_id, folder = resolve(journal, run)
     result = folder.result()
     if result.friction.coulomb is None or result.critical_point is None:
-        raise Refused(f"run {run_id} measured no friction: there is no locus to draw")
+        raise Refused(
+            f"run {run_id} measured no friction: there is no locus to draw", code="run.no-friction"
+        )
     kind = Path(output or "loci.svg").suffix.lower()
     if kind not in _FORMATS:
         raise UsageError(f"--output {output}: must end with {', '.join(_FORMATS)}")

@@ -18,6 +18,7 @@ from commissioning.result.words import (
     interval,
     nothing_proposed,
     number,
+    why_not,
 )
 
 if TYPE_CHECKING:
@@ -154,7 +155,7 @@ def _set_row(item: GainSet) -> list[str]:
         over,
         ends,
         off,
-        "best" if item.best else "proposed" if item.proposed else item.why_not.split(":")[0],
+        "best" if item.best else "proposed" if item.proposed else why_not(item),
     ]
 
 

@@ -76,7 +76,10 @@ class Screen:
         if self.yes:
             return True
         if not sys.stdin.isatty():
-            raise Refused("this needs a confirmation and there is no terminal: give --yes")
+            raise Refused(
+                "this needs a confirmation and there is no terminal: give --yes",
+                code="refused.no-terminal",
+            )
         with self.paused():
             answer: str = click.prompt(
                 f"Type {plain(word)} to go on", default="", show_default=False, err=self.to_stderr

@@ -38,7 +38,8 @@ def approach(context: Context, goal: float, known: FirstLook) -> Plan[Sample]:
         if sample.time - began > _TIME:
             raise MeasurementRejected(
                 f"the axis is still {error:.3g} {context.position_unit} from its start position "
-                f"after {_TIME:g} s; does something block it?"
+                f"after {_TIME:g} s; does something block it?",
+                code="measurement.approach",
             )
         elapsed = sample.time - previous.time
         speed = (sample.position - previous.position) / elapsed if elapsed > 0 else 0.0
@@ -48,8 +49,10 @@ def approach(context: Context, goal: float, known: FirstLook) -> Plan[Sample]:
             moved = sample.time
         elif sample.time - moved > _STILL:
             raise MeasurementRejected(
-                f"the axis stands still, {error:.3g} {context.position_unit} from its start position, with a "
-                f"torque of {torque:.4g} {context.effort_unit} that moved it before: does something block it?"
+                f"the axis stands still, {error:.3g} {context.position_unit} from its start position, "
+                f"with a torque of {torque:.4g} {context.effort_unit} that moved it before: does "
+                "something block it?",
+                code="measurement.approach",
             )
         friction = 1.1 * known.breakaway if at_rest else 0.9 * known.coulomb
         push = gain * (wanted - speed) + (friction if error > 0 else -friction)

@@ -98,13 +98,14 @@ def design(
         raise MeasurementRejected(
             f"friction {known.breakaway:.4g} {unit} and offset {known.offset:.4g} {unit} need "
             f"relay amplitudes of {d1:.4g} and {_RATIO * d1:.4g} {unit}, but the torque limit of "
-            f"{context.torque:.4g} {unit} leaves {most:.4g} {unit}; raise --max-torque"
+            f"{context.torque:.4g} {unit} leaves {most:.4g} {unit}; raise --max-torque",
+            code="measurement.torque",
         )
     f = min(known.coulomb, 0.8 * d1)
     pair = _Pair(context, pace, d1, d2, f, known.inertia, known.dead_time, longest_period)
     fit = pair.fit(context.travel, stopping)
     if fit is None:
-        raise PreflightRefused(_no_room(context, stopping, pair))
+        raise PreflightRefused(_no_room(context, stopping, pair), code="preflight.room")
     period, room = fit
     first = pair.half_swing(period, d1)
     growth = pair.half_swing(period, d2) / first

@@ -90,7 +90,8 @@ def first_look(context: Context) -> Plan[FirstLook]:
         raise MeasurementRejected(
             f"breakaway {breakaway:.4g} {context.effort_unit} and offset {offset:.4g} "
             f"{context.effort_unit} leave no torque to move the axis within the limit of "
-            f"{context.torque:.4g} {context.effort_unit}; raise --max-torque"
+            f"{context.torque:.4g} {context.effort_unit}; raise --max-torque",
+            code="measurement.torque",
         )
     context.tell("short pushes and coasts, both ways")
     pushes = []
@@ -130,7 +131,8 @@ def _evaluate(context: Context, breakaway: float, offset: float, pushes: list[Pu
         raise MeasurementRejected(
             f"the pushes contradict each other (inertia {inertia:.3g}): is there a torque that depends on "
             f"the position (cogging), is the travel of ±{context.travel:.3g} {context.position_unit} too "
-            "small, or the position signal noisy?"
+            "small, or the position signal noisy?",
+            code="measurement.contradiction",
         )
     dead_time = float(np.median([p.dead_time for p in pushes]))
     return FirstLook(breakaway, offset, coulomb, viscous, inertia, dead_time)
@@ -166,13 +168,15 @@ def _ramp(context: Context, direction: int) -> Plan[float]:
             raise MeasurementRejected(
                 f"the axis moved {abs(moved):.3g} {context.position_unit} against a torque of "
                 f"{sample.command:.4g} {context.effort_unit}: the sign of torque or encoder is "
-                "inverted, or the load drives the axis; check the wiring and direction settings"
+                "inverted, or the load drives the axis; check the wiring and direction settings",
+                code="measurement.against",
             )
         torque += step
     raise MeasurementRejected(
         f"no motion up to {limit:.4g} {context.effort_unit}: friction and load are above the "
         "torque limit, or the axis is blocked, or the brake is closed; raise --max-torque if the "
-        "machine allows it"
+        "machine allows it",
+        code="measurement.no-motion",
     )
 
 
@@ -206,7 +210,8 @@ def push(context: Context, offset: float, torque: float) -> Plan[Push]:
             f"a push of {torque:.4g} {context.effort_unit} gave no acceleration along it "
             f"({acceleration:.3g} {context.position_unit}/s2): does the axis rest in a detent (cogging, a "
             "gear, elastic pre-sliding) that such a push does not leave? More --max-torque or --travel does; "
-            "else the cycle is too slow for this travel, or the position signal noisy"
+            "else the cycle is too slow for this travel, or the position signal noisy",
+            code="measurement.no-acceleration",
         )
     still = next(
         s for s in samples[switched:] if abs(s.position - last.position) <= 2.5 * context.resolution

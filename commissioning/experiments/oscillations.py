@@ -166,7 +166,8 @@ def _find_period(
             raise MeasurementRejected(
                 f"the relay of ±{relay.amplitude:.4g} {context.effort_unit} does not oscillate: no "
                 f"reversal within {longest:.3g} s. Breakaway and offset are too large for it, or the "
-                "axis is blocked; raise --max-torque"
+                "axis is blocked; raise --max-torque",
+                code="measurement.no-oscillation",
             )
         sample = yield torque
     first = max(starts[-1 - min(_AVERAGED, count)] - _quarter(time, starts), 0)
@@ -176,7 +177,8 @@ def _find_period(
     if not len(periods):
         raise MeasurementRejected(
             "the relay makes no whole period about its reference: the axis drifts, or the load "
-            "changes; is the offset constant?"
+            "changes; is the offset constant?",
+            code="measurement.drifts",
         )
     cycle, span = limit_cycle(relay, periods.last(_AVERAGED), is_settled=False)
     return sample, cycle, span
@@ -213,7 +215,7 @@ def _adjust(
         room = min(plan.half_swing / swing, (plan.period / period) ** 2)
         if room > 1.1 or room < 0.9:
             relay.knob *= min(_GROWTH, room)
-            context.tell(
+            context.detail(
                 f"staging: period {period * 1000:.3g} of {plan.period * 1000:.3g} ms, half-swing "
                 f"{swing:.3g} of at most {plan.half_swing:.3g} {context.position_unit}"
             )

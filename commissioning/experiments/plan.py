@@ -42,7 +42,7 @@ class Context:
     rest : torque that holds the axis at rest, N.m or N
     torque_resolution : of the torque command, N.m or N
     position_unit, effort_unit : for messages
-    tell : called with a line about what is happening
+    tell, detail : called with a line about what happens now, and about a step's way
     """
 
     cycle: float
@@ -56,6 +56,7 @@ class Context:
     position_unit: str = "rad"
     effort_unit: str = "N.m"
     tell: Callable[[str], None] = field(default=_silent)
+    detail: Callable[[str], None] = field(default=_silent)
 
     @property
     def motion(self) -> float:
@@ -75,7 +76,8 @@ def stand(context: Context) -> Plan[None]:
                 f"the axis does not stay at rest with {context.rest:.4g} {context.effort_unit}: it "
                 f"moved {moved:+.3g} {context.position_unit} within "
                 f"{sample.time - begin.time:.3g} s. If a load pulls it, declare its brake, "
-                "counterbalance or fixture in an axis file ([mechanics] held_by)"
+                "counterbalance or fixture in an axis file ([mechanics] held_by)",
+                code="preflight.not-at-rest",
             )
 
 

@@ -71,7 +71,8 @@ class RelayTest:
         return MeasurementRejected(
             f"the relay of ±{relay.amplitude:.4g} {context.effort_unit} does not oscillate: no "
             f"reversal within {longest:.3g} s. Breakaway and offset are too large for it, or the "
-            "axis is blocked; raise --max-torque"
+            "axis is blocked; raise --max-torque",
+            code="measurement.no-oscillation",
         )
 
 
@@ -109,7 +110,7 @@ def stage(test: RelayTest, plan: RelayDesign) -> Plan[None]:
     while True:
         periods = yield from test.run(lambda p: len(p) >= 2, MOST_PERIODS, test.longest)
         period, swing = float(periods.period[-1]), float(periods.half_swing[-1])
-        context.tell(
+        context.detail(
             f"staging: period {period * 1000:.3g} of {plan.period * 1000:.3g} ms, half-swing "
             f"{swing:.3g} of at most {plan.half_swing:.3g} {context.position_unit}"
         )
@@ -155,7 +156,10 @@ def settle(test: RelayTest, number: int) -> Plan[tuple[LimitCycle, Span]]:
     periods = yield from test.run(enough, MOST_PERIODS, test.longest)
     last = _recent(periods, cycle)
     if len(last) < FEWEST:
-        raise MeasurementRejected(f"relay test {number} gave only {len(periods)} whole periods")
+        raise MeasurementRejected(
+            f"relay test {number} gave only {len(periods)} whole periods",
+            code="measurement.periods",
+        )
     return limit_cycle(relay, last, is_settled=enough(periods))
 
 

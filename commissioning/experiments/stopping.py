@@ -92,6 +92,7 @@ def run_up(context: Context, known: FirstLook) -> Plan[tuple[float, float]]:
             raise MeasurementRejected(
                 f"the axis does not come up to speed with {torque:.4g} {context.effort_unit} within "
                 f"{_RUN_UP_TIME:g} s ({speed:.3g} of {goal:.3g} {context.position_unit}/s); does "
-                "something block it?"
+                "something block it?",
+                code="measurement.no-speed",
             )
         before = sample

@@ -126,7 +126,7 @@ def _match_by_bracket(
         x, gap = log(relay.knob), second.period - first.period
         if best is None or abs(gap) < best[0]:
             best = (abs(gap), second, span)
-        context.tell(
+        context.detail(
             f"relay test 2, try {number}: period {second.period * 1000:.4g} of "
             f"{first.period * 1000:.4g} ms"
         )
@@ -155,7 +155,8 @@ def _match_by_bracket(
     raise MeasurementRejected(
         f"the second relay test does not reach the period of the first within {_MOST_TESTS} tries "
         f"(it is off by {gap * 1000:.3g} ms of {first.period * 1000:.4g} ms); the axis changes "
-        "while it is measured, or is not rigid"
+        "while it is measured, or is not rigid",
+        code="measurement.period",
     )
 
 
@@ -167,7 +168,8 @@ def _check_feasible(context: Context, relay: Relay, first: LimitCycle, first_kno
         raise MeasurementRejected(
             f"the {relay.switching} of the second relay test runs into zero before its period reaches "
             f"{first.period * 1000:.4g} ms: with dead time this large the tests cannot be matched; "
-            "give more --travel, so that the period is long against the dead time"
+            "give more --travel, so that the period is long against the dead time",
+            code="measurement.period",
         )
 
 
@@ -184,7 +186,7 @@ def _match_by_rule(
         second, span = yield from settle(test, 2)
         gap = first.period - second.period
         if number % 10 == 1:
-            context.tell(
+            context.detail(
                 f"relay test 2, step {number} of rule {rule}: period {second.period * 1000:.4g} of "
                 f"{first.period * 1000:.4g} ms"
             )
@@ -197,5 +199,6 @@ def _match_by_rule(
         _check_feasible(context, relay, first, first_knob)
     raise MeasurementRejected(
         f"rule {rule} with k = {k:g} does not converge within {_MOST_STEPS} steps (still "
-        f"{gap * 1000:.3g} ms off); use the bracketing solver"
+        f"{gap * 1000:.3g} ms off); use the bracketing solver",
+        code="measurement.period",
     )

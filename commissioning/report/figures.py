@@ -67,11 +67,11 @@ def overview(samples: Samples, units: Units) -> str:
         bottom.set_ylabel(f"torque in {units.effort}")
         bottom.set_xlabel("time in s")
         number = 0
-        for index, text in samples.phases:
-            if index >= len(samples) or not _is_stage(text):
+        for phase in samples.phases:
+            if phase.at >= len(samples) or phase.kind != "step":
                 continue
             number += 1
-            at = samples.time[index]
+            at = samples.time[phase.at]
             for axes in (top, bottom):
                 axes.axvline(at, color=GREY, lw=0.6, ls=":")
             top.annotate(
@@ -84,14 +84,10 @@ def overview(samples: Samples, units: Units) -> str:
 def stages(samples: Samples) -> list[tuple[float, str]]:
     """Begin (s) and text of the phases that `overview` numbers."""
     return [
-        (float(samples.time[index]), text)
-        for index, text in samples.phases
-        if index < len(samples) and _is_stage(text)
+        (float(samples.time[phase.at]), phase.text)
+        for phase in samples.phases
+        if phase.at < len(samples) and phase.kind == "step"
     ]
-
-
-def _is_stage(text: str) -> bool:
-    return not text.startswith(("staging", "relay test 2, ", "stop path", "a dozen periods"))
 
 
 def tests_over_time(samples: Samples, result: RunResult) -> str:

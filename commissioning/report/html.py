@@ -79,7 +79,7 @@ def _pictures(result: RunResult, samples: Samples | None) -> Iterator[tuple[str,
 def _render(result: RunResult, samples: Samples | None, history: History) -> str:
     stages: list[tuple[float, str]] = []
     if samples is not None and len(samples) > 1:
-        samples.phases = [(at, plain(text)) for at, text in samples.phases]
+        samples.phases = [p._replace(text=plain(p.text)) for p in samples.phases]
         stages = figures.stages(samples)
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,

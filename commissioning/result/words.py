@@ -17,6 +17,7 @@ __all__ = [
     "POINT_LABELS",
     "QUANTITY_LABELS",
     "VERDICTS",
+    "WHY_NOT",
     "act_ended",
     "axis_words",
     "change_state",
@@ -29,6 +30,7 @@ __all__ = [
     "nothing_proposed",
     "number",
     "unit",
+    "why_not",
 ]
 
 QUANTITY_LABELS = {
@@ -89,6 +91,20 @@ def duration(value: float | None) -> str:
     if value is None:
         return "never"
     return f"{value:.2f} s" if value >= 1 else f"{1000 * value:.0f} ms"
+
+
+WHY_NOT = {  # of gains that are not proposed, for a column
+    "gains.unstable": "unstable", "gains.no-crossover": "no crossover", "gains.margin": "PM too small",
+    "gains.sensitivity": "Ms too large", "gains.too-fast": "too fast", "gains.off-goal": "off its goal",
+    "gains.overshoots": "overshoots", "gains.unsettled": "does not settle",
+    "gains.out-of-range": "out of range", "gains.too-fine": "too fine",
+    "gains.distorted": "distorted", "gains.no-point": "no such point",
+}  # fmt: skip
+
+
+def why_not(item: GainSet) -> str:
+    """Why gains are not proposed, in a word or two where there is one."""
+    return WHY_NOT.get(item.why_not_code, item.why_not)
 
 
 def gains_text(item: GainSet, units: Units) -> str:

@@ -86,6 +86,7 @@ class GainSet:
     Attributes
     ----------
     gains : by name, SI, None: infinite; empty where the rule gives none, and `why_not` says why
+    why_not, why_not_code : why they are not proposed, for people and as a stable name; '' where they are
     ms : largest sensitivity
     crossover, bandwidth : rad/s
     parameters : the gains as the drive holds them, where its profile maps them
@@ -106,6 +107,7 @@ class GainSet:
     proposed: bool = False
     best: bool = False
     why_not: Text = ""
+    why_not_code: Text = ""
     parameters: tuple[Change, ...] = ()
 
     def __post_init__(self) -> None:

@@ -72,13 +72,14 @@ def _once(method: Method, ready: Ready) -> Measured:
     try:
         measured = method.run(ready)
     except (ValueError, ArithmeticError) as error:  # identification knows records, not axes
-        raise MeasurementRejected(f"{method.name}: {error}") from None
+        raise MeasurementRejected(f"{method.name}: {error}", code="measurement.method") from None
     value, d1 = measured.found.coulomb.value, measured.ready.design.d1
     if not 0 < value < d1:
         e = ready.units.effort
         raise MeasurementRejected(
             f"the oscillations give a friction of {value:.4g} {e}, which their own amplitude of "
-            f"{d1:.4g} {e} contradicts; is the axis rigid, and free to move?"
+            f"{d1:.4g} {e} contradicts; is the axis rigid, and free to move?",
+            code="measurement.contradiction",
         )
     return measured
 
@@ -103,7 +104,9 @@ def _auto(ready: Ready) -> Measured:
     assert first is not None
     if within_short(first):
         return short
-    ready.context.tell(f"a dozen periods are not enough: {_why(first)}; the oscillations are held")
+    ready.context.detail(
+        f"a dozen periods are not enough: {_why(first)}; the oscillations are held"
+    )
     more = _oscillate(
         ready, _AGAIN, (Stretch(1, _HELD, _HELD), Stretch(2, _HELD, _HELD)),
         knob=_knob(short), period=short.shown[1].cycle.period,

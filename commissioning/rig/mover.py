@@ -86,7 +86,7 @@ class Mover:
                 f"{self._settings.run}' tries again"
             )
             if error is None:
-                raise WriteFailed(text)
+                raise WriteFailed(text, code="restore.incomplete")
             if isinstance(error, TwoRelayError):
                 error.also(text)
 

@@ -66,7 +66,8 @@ def look(drive: Drive, axis: Axis) -> None:
     if drive.state().in_fault:
         raise PreflightRefused(
             f"the drive is in fault: {drive.state().text}; remove the cause and reset it, then "
-            "try again"
+            "try again",
+            code="preflight.fault",
         )
     if drive.state().is_energised:
         raise DriveEnabled(
@@ -78,13 +79,18 @@ def look(drive: Drive, axis: Axis) -> None:
         raise PreflightRefused(
             f"a cycle of {drive.cycle * 1000:g} ms is too slow for the drive's watchdog of "
             f"{watchdog.timeout * 1000:g} ms, which needs {CYCLES_A_WATCHDOG} cycles; give a shorter "
-            "--cycle"
+            "--cycle",
+            code="preflight.cycle",
+            value=drive.cycle,
+            limit=watchdog.timeout / CYCLES_A_WATCHDOG,
+            unit="s",
         )
     other = drive.line.other_master()
     if other:
         raise PreflightRefused(
             f"another master is on the bus ({other} was heard): two masters move an axis against "
-            "each other; disconnect it or stop its program (if it only produces SYNC: sync=bus in the link)"
+            "each other; disconnect it or stop its program (if it only produces SYNC: sync=bus in the link)",
+            code="preflight.master",
         )
     drive.preparation.check_requirements()
     drive.preparation.settings(Mode.TORQUE)  # refuses a drive without torque mode
@@ -94,13 +100,15 @@ def look(drive: Drive, axis: Axis) -> None:
         if active:
             raise PreflightRefused(
                 f"this drive's compensation acts in torque mode too, and {', '.join(active)} is not "
-                "zero: the friction would be measured less what is compensated; set it to zero first"
+                "zero: the friction would be measured less what is compensated; set it to zero first",
+                code="preflight.compensation",
             )
     moved = still_moving(drive)
     if moved:
         raise PreflightRefused(
             f"the axis moves by itself: {moved:.3g} {axis.position_unit} in {_LOOK:g} s; bring it "
-            "to rest first"
+            "to rest first",
+            code="preflight.not-at-rest",
         )
 
 
@@ -137,7 +145,11 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
         raise PreflightRefused(
             f"the travel of ±{travel:.4g} {axis.position_unit} is too small: it is "
             f"{travel / count:.0f} encoder counts, and a measurement needs {_FEWEST_COUNTS}; give "
-            "more --travel"
+            "more --travel",
+            code="preflight.travel",
+            value=travel,
+            limit=_FEWEST_COUNTS * count,
+            unit=axis.position_unit,
         )
     mechanics = axis.mechanics
     rated = drive.scaling.rated_torque * mechanics.effort_per_torque
@@ -150,7 +162,8 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
             raise PreflightRefused(
                 f"the drive's own torque limit ('{by_torque}') reads {most:g} {axis.effort_unit}, "
                 f"which is no limit, or no torque: set it in the drive, or give --max-torque in "
-                f"{axis.effort_unit}, which is set for the experiment"
+                f"{axis.effort_unit}, which is set for the experiment",
+                code="preflight.torque-limit",
             )
         most = asked
     by = drive.parameters[by_torque].address if by_torque else "rated torque"
@@ -171,7 +184,11 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
     if torque > most * (1 + 1e-9):
         raise PreflightRefused(
             f"max torque of {torque:.4g} {axis.effort_unit} is above the drive's own limit of "
-            f"{most:.4g} {axis.effort_unit} ({by})"
+            f"{most:.4g} {axis.effort_unit} ({by})",
+            code="preflight.torque",
+            value=torque,
+            limit=most,
+            unit=axis.effort_unit,
         )
     drive.preparation.check_set_points(Mode.TORQUE, torque)
     return Limits(
@@ -242,7 +259,8 @@ def set_limits(
         verified(drive.stop(), None)
         raise PreflightRefused(
             "the drive became enabled while it was prepared, before any command: what enables it? Look at "
-            "its inputs and at [[modes.torque]] before in the profile"
+            "its inputs and at [[modes.torque]] before in the profile",
+            code="preflight.enabled-itself",
         )
 
 
@@ -252,7 +270,8 @@ def check_watchdog(drive: Drive, *, without: bool) -> None:
         raise PreflightRefused(
             f"{drive.profile} has no drive-side watchdog for this drive and link, so a dead "
             "cable would leave the torque on; --without-watchdog takes that risk, with the emergency stop in "
-            "your hand"
+            "your hand",
+            code="preflight.no-watchdog",
         )
 
 
@@ -288,7 +307,8 @@ def prove_watchdog(
             for _ in range(_PROOF_CYCLES):
                 if not drive.exchange(rest).status.enabled:
                     raise DriveFault(
-                        f"the drive stopped before the proof of its watchdog: {drive.state().text}"
+                        f"the drive stopped before the proof of its watchdog: {drive.state().text}",
+                        code="watchdog.stopped-before",
                     )
             drive.wait(3 * watchdog.timeout)
             energised = drive.state().is_energised
@@ -303,14 +323,16 @@ def prove_watchdog(
             raise PreflightRefused(
                 f"the drive did not stop after {3 * watchdog.timeout * 1000:.0f} ms of silence: its "
                 f"watchdog ('{watchdog.parameter}') is not proved, so nothing is moved. "
-                "(A served drive that steps needs clock=step in its link.)"
+                "(A served drive that steps needs clock=step in its link.)",
+                code="watchdog.not-proved",
             )
         found = drive.state().fault
         if before is not None and found != before:
             raise DriveFault(
                 f"while its watchdog was proved the drive stopped with '{found}', and with '{before}' in an "
                 "earlier proof: something else has stopped it. Look the code up in its manual, remove the "
-                "cause, then try again"
+                "cause, then try again",
+                code="watchdog.another-fault",
             )
         if before is None:  # before a reset makes the drive forget it
             tell(f"the drive noticed it, by itself: {drive.state().text}")
@@ -326,6 +348,9 @@ def prove_watchdog(
         if abs(moved) > _STAYS * travel:
             raise PreflightRefused(
                 f"the axis, or its encoder, moved by {moved:+.3g} (of ±{travel:.4g} that are allowed) while "
-                "the watchdog was proved with the torque that holds it: find out why first"
+                "the watchdog was proved with the torque that holds it: find out why first",
+                code="watchdog.moved",
+                value=moved,
+                limit=_STAYS * travel,
             )
     return found

@@ -117,7 +117,7 @@ class Ready:
         except EnvelopeTripped as error:
             if isinstance(error, FeedbackReversed) or self.mover.is_energised:
                 raise
-            raise MeasurementRejected(str(error)) from None
+            raise MeasurementRejected(str(error), code="measurement.limit") from None
 
     @property
     def time_left(self) -> float:

@@ -81,6 +81,7 @@ class Rig:
             position_unit=axis.position_unit,
             effort_unit=axis.effort_unit,
             tell=recorder.phase,
+            detail=recorder.detail,
         )
         envelope = Envelope(
             centre=limits.start,
@@ -164,7 +165,8 @@ class Rig:
             raise PreflightRefused(
                 f"the load of {known.offset:.4g} {e} is more than friction holds "
                 f"({known.breakaway:.4g} {e}): the axis falls when the torque goes. Declare its "
-                "brake, counterbalance or fixture in an axis file ([mechanics] held_by)"
+                "brake, counterbalance or fixture in an axis file ([mechanics] held_by)",
+                code="preflight.load",
             )
         return context, replace(self.envelope, bias=known.offset), known
 
@@ -178,7 +180,8 @@ class Rig:
             raise PreflightRefused(
                 f"the axis is held by a {self.axis.mechanics.held_by}, but "
                 f"{self.drive.profile} does not exchange torque_actual, so the torque that "
-                "holds it cannot be known"
+                "holds it cannot be known",
+                code="preflight.no-torque",
             )
         self.recorder.phase("holding torque: creep up and down in position mode")
         return self.mover.follow(
@@ -201,7 +204,8 @@ class Rig:
         if moved:
             raise DriveFault(
                 "the stop path could not be proved: the drive has no energy any more, and the axis "
-                f"still moves ({moved:.3g} {p} between two looks); nothing larger is moved"
+                f"still moves ({moved:.3g} {p} between two looks); nothing larger is moved",
+                code="stop.coasts",
             )
         distance = abs(self.drive.read(POSITION).si - position)
         delay = known.dead_time + cycle
@@ -211,9 +215,10 @@ class Rig:
         if not certain > 0 or not speed > 0:
             raise DriveFault(
                 f"the stop path could not be proved ({distance:.3g} {p} from "
-                f"{speed:.3g} {p}/s); nothing larger is moved"
+                f"{speed:.3g} {p}/s); nothing larger is moved",
+                code="stop.not-proved",
             )
-        self.recorder.phase(
+        self.recorder.detail(
             f"stop path proved: {speed:.3g} {p}/s to rest within {distance:.3g} {p}"
         )
         watchdog = self.drive.watchdog

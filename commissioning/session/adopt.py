@@ -72,7 +72,8 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
     target, result = RunFolder.of(desk.journal, run), folder.result()
     if target.path.exists():
         raise Refused(
-            f"{target.path}: is there, of a run that the journal does not know: move it away"
+            f"{target.path}: is there, of a run that the journal does not know: move it away",
+            code="adopt.there",
         )
     named = (
         ("run", result.run, run), ("axis", result.axis, record.axis), ("link", result.link, record.link)
@@ -93,7 +94,8 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
         raise Refused(
             f"{path}: not taken in, it differs from profile '{here.name}' as it is known here: "
             + "; ".join(found[:_SHOWN])
-            + (f"; and {len(found) - _SHOWN} more" if found[_SHOWN:] else "")
+            + (f"; and {len(found) - _SHOWN} more" if found[_SHOWN:] else ""),
+            code="adopt.differs",
         )
     samples = folder.samples()
     show(Adopted(run, axis, record.serial, here, history.intents))
@@ -118,7 +120,8 @@ def _known_here(profile: str | None, result: RunResult, path: Path) -> tuple[str
         return name, load_profile(name)
     except UnknownName:
         raise Refused(
-            f"{path}: its drive's profile '{name}' is not built in: name yours with --profile"
+            f"{path}: its drive's profile '{name}' is not built in: name yours with --profile",
+            code="adopt.profile",
         ) from None
 
 
@@ -127,7 +130,9 @@ def _of_the_run(folder: RunFolder, path: Path) -> Profile:
     try:
         return load_profile(str(folder.profile_path()), lenient=True)
     except ProfileError as error:
-        raise Refused(f"{path}: not taken in, its own profile cannot be read: {error}") from None
+        raise Refused(
+            f"{path}: not taken in, its own profile cannot be read: {error}", code="adopt.profile"
+        ) from None
 
 
 def _differences(history: History, result: RunResult, theirs: Profile, here: Profile) -> list[str]:

@@ -80,7 +80,7 @@ def analyze(
             result = _motion(result, recordings[0], method, tell)
     except (ValueError, ArithmeticError, MeasurementRejected) as error:
         got = error.result if isinstance(error, Rejected) else result
-        why = MeasurementRejected(f"{files[0]}: {error}")
+        why = MeasurementRejected(f"{files[0]}: {error}", code="recording.rejected")
         raise Rejected(str(why), ended(failed(got, why), None, AxisState.NOT_MOVED)) from None
     return ended(replace(result, status="completed"), None, AxisState.NOT_MOVED)
 
@@ -188,7 +188,8 @@ def _motion(
     elif method == "lock-in":
         raise MeasurementRejected(
             f"the exact balance needs two steady oscillations of one period and different swing; the "
-            f"recording has {len(oscillations)} steady stretches. Use --method modulating"
+            f"recording has {len(oscillations)} steady stretches. Use --method modulating",
+            code="recording.no-pair",
         )
     if method != "lock-in":
         _refuse_one_oscillation(record, oscillations, units)
@@ -262,5 +263,6 @@ def _refuse_one_oscillation(record: Record, oscillations: list[Steady], units: U
     raise MeasurementRejected(
         f"one oscillation only (half-swing {swings[0]:.3g} {units.position}, period "
         f"{oscillations[0].period * 1000:.4g} ms): it cannot tell Coulomb from viscous friction; record "
-        "two of clearly different torque"
+        "two of clearly different torque",
+        code="recording.one-oscillation",
     )

@@ -54,7 +54,8 @@ def apply(
             loops = drive.loops
             if {item.parameter for item in gained} != set(loops.terms.values() if loops else ()):
                 raise Refused(
-                    f"run {run_id}: its gains are not those that the profile maps; tune it again"
+                    f"run {run_id}: its gains are not those that the profile maps; tune it again",
+                    code="gains.not-mapped",
                 )
         if drive.state().is_energised:
             raise DriveEnabled(
@@ -136,7 +137,7 @@ def _check(result: RunResult, proposal: tuple[Change, ...]) -> None:
         reason = f"its status is '{result.status}'"
     elif result.friction.coulomb is None:
         reason = "it measured no friction"
-    raise Refused(f"run {result.run} proposes nothing: {reason}")
+    raise Refused(f"run {result.run} proposes nothing: {reason}", code="run.nothing-proposed")
 
 
 def _present(change: Change, drive: Drive) -> Change:
@@ -154,14 +155,23 @@ def _gains(result: RunResult, rule: str) -> GainSet:
     run = result.run
     sets = [s for s in result.of_loop("drive") if s.gains and s.source == "corrected"]
     if not sets:
-        raise Refused(f"run {run} has no gains for the drive: 'tworelay tune {run}' makes them")
+        raise Refused(
+            f"run {run} has no gains for the drive: 'tworelay tune {run}' makes them",
+            code="gains.none",
+        )
     found = next((s for s in sets if s.rule == rule), None)
     if found is None:
         raise UnknownName("rule with gains for the drive", rule, [s.rule for s in sets])
     if not found.proposed:
-        raise Refused(f"run {run}: the gains by {rule} are not proposed: {found.why_not}")
+        raise Refused(
+            f"run {run}: the gains by {rule} are not proposed: {found.why_not}",
+            code="gains.not-proposed",
+        )
     if not found.parameters:
-        raise Refused(f"run {run}: the profile does not map the gains of {rule}; set them by hand")
+        raise Refused(
+            f"run {run}: the profile does not map the gains of {rule}; set them by hand",
+            code="gains.not-mapped",
+        )
     return found
 
 

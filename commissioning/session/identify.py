@@ -53,7 +53,9 @@ def identify(axis: Axis, options: Options, desk: Desk) -> RunResult:
         try:
             found = _measured(result, repeats, rig)
         except ValueError as error:  # a limit cycle that no relay makes
-            raise MeasurementRejected(f"the oscillations contradict themselves: {error}") from None
+            raise MeasurementRejected(
+                f"the oscillations contradict themselves: {error}", code="measurement.contradiction"
+            ) from None
         return with_proposal(found, rig.drive, options.fraction)
 
     return in_a_run(axis, options, desk, work)

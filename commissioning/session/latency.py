@@ -90,7 +90,9 @@ def dead_time(axis: Axis, options: Options, desk: Desk) -> RunResult:
         try:
             found = estimate(record, any_motion=True)
         except (ValueError, ArithmeticError) as error:
-            raise MeasurementRejected(f"the torque steps show no dead time: {error}") from None
+            raise MeasurementRejected(
+                f"the torque steps show no dead time: {error}", code="measurement.method"
+            ) from None
         number = quantity(found.dead_time, result.units.dead_time)
         only = Reason("dead-time.only", Weight.NOTE, "torque steps: the dead time only")
         return replace(

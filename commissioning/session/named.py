@@ -44,9 +44,12 @@ def own_run(journal: Journal, run: str) -> tuple[str, RunFolder]:
         return run_id, folder
     if journal.knows(run_id):
         raise Refused(
-            f"{run} is an exported run: adopt it first, or name run {run_id}, which is known here"
+            f"{run} is an exported run: adopt it first, or name run {run_id}, which is known here",
+            code="run.exported",
         )
-    raise Refused(f"{run} is an exported run: adopt it first ('tworelay adopt {run}')")
+    raise Refused(
+        f"{run} is an exported run: adopt it first ('tworelay adopt {run}')", code="run.exported"
+    )
 
 
 def resolve_any(desk: Desk, run: str) -> tuple[str, RunFolder]:

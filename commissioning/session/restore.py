@@ -35,13 +35,15 @@ def to_restore(run: str | None, desk: Desk) -> str | None:
         if others := desk.journal.open_runs(adopted=True):
             raise Refused(
                 "nothing of this computer's own is to be restored; of runs that were taken in: "
-                + ", ".join(others[:5])
+                + ", ".join(others[:5]),
+                code="restore.adopted",
             )
         return None
     if waiting[0] != desk.journal.last_written():
         raise Refused(
             "the latest run has nothing to restore; name the one that is meant: "
-            + ", ".join(f"{name} on {desk.journal.run(name).link}" for name in waiting[:5])
+            + ", ".join(f"{name} on {desk.journal.run(name).link}" for name in waiting[:5]),
+            code="restore.name-it",
         )
     return waiting[0]
 
@@ -160,7 +162,9 @@ def _put_all_back(drive: Drive, desk: Desk, run_id: str, *, force: bool) -> Rest
     of_run = journal.intents(run_id, open_only=True)
     settle(journal, [i for i in of_run if i.lasts], outcome)
     if outcome.failed:  # to say so in the journal
-        raise WriteFailed(f"restore of run {run_id} is incomplete: {outcome}")
+        raise WriteFailed(
+            f"restore of run {run_id} is incomplete: {outcome}", code="restore.incomplete"
+        )
     return outcome
 
 
@@ -198,7 +202,10 @@ def leave_as_found(run: str, desk: Desk) -> tuple[str, AxisState | None]:
         with connect(axis, None, desk, f"run {run}", lenient=True) as drive:
             found = drive.identity()
             if found.serial != record.serial:
-                raise LinkError(f"another drive is on the link, with serial {found.serial}")
+                raise LinkError(
+                    f"another drive is on the link, with serial {found.serial}",
+                    code="identity.serial",
+                )
             state = axis_state(drive, axis)
             outcome = _put_all_back(drive, desk, run, force=False)
     except TwoRelayError as error:

@@ -22,7 +22,8 @@ def stop(axis: Axis, desk: Desk) -> StopReport:
         if not drive.moves:
             raise Refused(
                 f"{drive.profile} has no way to stop the drive, which says: "
-                f"{drive.state().text}; use its own controller or the emergency stop"
+                f"{drive.state().text}; use its own controller or the emergency stop",
+                code="stop.no-way",
             )
         word = Thread(target=note_stop, args=(drive.link,), daemon=True)  # a stop waits for no file
         word.start()
@@ -30,9 +31,9 @@ def stop(axis: Axis, desk: Desk) -> StopReport:
         word.join(_FILE)
         _tell_what_is_left(drive, desk)
     if report.deenergised is None:
-        raise LinkError(str(report))
+        raise LinkError(str(report), code="stop.not-verified")
     if not report.deenergised:
-        raise DriveFault(str(report))
+        raise DriveFault(str(report), code="stop.energised")
     return report
 
 

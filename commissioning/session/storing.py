@@ -26,7 +26,11 @@ def all_writable(drive: Drive, names: list[str]) -> None:
     refused = [why for name in names if (why := why_not_written(drive.parameters[name]))]
     if refused:
         ways = "; ".join(dict.fromkeys(why.hint for why in refused))
-        raise Refused("; ".join(why.text for why in refused), hint=f"nothing was written; {ways}")
+        raise Refused(
+            "; ".join(why.text for why in refused),
+            hint=f"nothing was written; {ways}",
+            code="write.refused",
+        )
 
 
 def store(
@@ -44,7 +48,10 @@ def store(
     if before >= most:
         raise WriteFailed(
             f"this drive has stored {before} times from here, and its memory takes about {most}: the values "
-            "are in effect, and not stored; store them with the maker's software if its memory is new"
+            "are in effect, and not stored; store them with the maker's software if its memory is new",
+            code="store.worn",
+            value=before,
+            limit=most,
         )
     desk.journal.note_stored(run_id, STORING)  # should this be cut off, `restore` must store
     try:
@@ -56,7 +63,13 @@ def store(
     for name, raw in wanted.items():
         there = drive.read(name).raw
         if there != raw:
-            raise WriteFailed(f"'{name}' reads {there} after the store, not {raw}")
+            raise WriteFailed(
+                f"'{name}' reads {there} after the store, not {raw}",
+                code="store.read-back",
+                parameter=name,
+                value=there,
+                wanted=raw,
+            )
     what = "the old values are stored" if text == RESTORED else "stored"
     desk.tell(
         f"{what} in the drive's non-volatile memory, read back again (store {before + 1} of this drive from "

@@ -20,13 +20,15 @@ from commissioning.runs import resolve
 from commissioning.session.named import axis_of_run
 from commissioning.tuning.controllers import Gains
 from commissioning.tuning.plant import LoopPlant
-from commissioning.tuning.proposals import Hold, Known, Proposal, proposals
+from commissioning.tuning.proposals import AxisKnown, CannotHold, Hold, Proposal, proposals
 from commissioning.tuning.rules import Cascade
 from commissioning.tuning.step import Friction, Step
+from drivers.described import Parameters, described
 from drivers.errors import WriteFailed
 from drivers.scaling import Scaling
 from profiles.axis import Axis
 from profiles.errors import Refused, UsageError
+from profiles.law import LoopGains
 from profiles.library import load_profile
 from profiles.schema import Profile
 
@@ -77,7 +79,8 @@ def tune(result: RunResult, axis: Axis, profile: Profile, drive: DriveLoop) -> T
     if result.coulomb is None:
         raise Refused(
             f"run {result.run} is {result.status}: without a friction that can be trusted no gain is "
-            "proposed; identify the axis again"
+            "proposed; identify the axis again",
+            code="run.no-friction",
         )
     try:
         with np.errstate(divide="raise", invalid="raise"):
@@ -109,9 +112,12 @@ def _tune(result: RunResult, axis: Axis, profile: Profile, drive: DriveLoop) -> 
             bases.rated_torque, bases.increments_per_revolution, axis.mechanics,
             bases.torque_constant,
         )  # fmt: skip
+        own_parameters = described(profile, scaling, constant_known=True)
         found += [
-            (proposal, _parameters(proposal, profile, scaling))
-            for proposal in proposals(known, "drive", inside, _holder(profile, scaling))
+            (proposal, _parameters(proposal, profile.loops, own_parameters))
+            for proposal in proposals(
+                known, "drive", inside, _holder(profile.loops, own_parameters)
+            )
         ]
     best = _best([proposal for proposal, _ in found])
     sets = tuple(
@@ -125,7 +131,7 @@ def _tune(result: RunResult, axis: Axis, profile: Profile, drive: DriveLoop) -> 
     return Tuned(sets, tuple(notes), curves)
 
 
-def _known(result: RunResult) -> tuple[Known, Experiment, Setup]:
+def _known(result: RunResult) -> tuple[AxisKnown, Experiment, Setup]:
     """What a run knows of its axis; raises Refused, UsageError."""
     found, watched, points = result.friction, result.experiment, result.critical_point
     coulomb, inertia, dead_time = found.coulomb, found.inertia, found.dead_time
@@ -133,7 +139,8 @@ def _known(result: RunResult) -> tuple[Known, Experiment, Setup]:
     if inertia is None or dead_time is None:
         raise Refused(
             f"run {result.run}: {' and '.join(unknown)} could not be identified, so no gain is "
-            "proposed; more travel, or method auto, would show it"
+            "proposed; more travel, or method auto, would show it",
+            code="tune.unknown",
         )
     setup = watched.setup if watched else None
     if coulomb is None or watched is None or setup is None or watched.limits is None:
@@ -146,7 +153,7 @@ def _known(result: RunResult) -> tuple[Known, Experiment, Setup]:
             f"run {result.run}: lacks what tuning needs (its oscillations); identify the axis again"
         )
     points = points or CriticalPoints()
-    known = Known(
+    known = AxisKnown(
         inertia=inertia.value,
         viscous=found.viscous.value if found.viscous else None,
         dead_time=dead_time.value,
@@ -209,49 +216,49 @@ def _own_loop(profile: Profile, drive: DriveLoop, lag: float) -> tuple[float, fl
     return dead_time, period
 
 
-def _mapped(profile: Profile, gains: Gains | None) -> bool:
-    """Whether the drive has these gains: a cascade, and the profile says where."""
-    has = profile.loops is not None and bool(profile.loops.terms)
-    return has and isinstance(gains, Cascade) and gains.position_gain > 0
+def _mapped(loops: LoopGains | None, gains: Gains | None) -> dict[str, tuple[str, float]]:
+    """Parameter and SI value of each gain that the drive has: a cascade, and the profile says where."""
+    if loops is None or not isinstance(gains, Cascade) or not gains.position_gain > 0:
+        return {}
+    return {term: (name, getattr(gains, term)) for term, name in loops.terms.items()}
 
 
-def _holder(profile: Profile, scaling: Scaling) -> Hold:
-    """Gains as the drive holds them, rounded to its steps; raises ValueError where it cannot."""
+def _holder(loops: LoopGains | None, parameters: Parameters) -> Hold:
+    """Gains as the drive holds them, rounded to its steps; raises CannotHold where it cannot."""
 
     def hold(gains: Gains) -> Gains:
-        if not _mapped(profile, gains) or profile.loops is None:
-            return gains
         held = {}
-        for term, name in profile.loops.terms.items():
-            parameter, value = profile.parameters[name], getattr(gains, term)
+        for term, (name, value) in _mapped(loops, gains).items():
+            what = parameters[name]
             try:
-                raw = scaling.checked_raw(name, parameter, value)
+                raw = what.checked_raw(value)
             except WriteFailed as error:
-                text = str(error).removesuffix("; nothing was written")
-                raise ValueError(f"out of range: {text}") from None
+                raise CannotHold("gains.out-of-range", error.text) from None
             if not raw:
-                step, unit = scaling.step(parameter), scaling.unit_text(parameter)
-                raise ValueError(
-                    f"too fine: '{name}' would be {value:.3g} {unit}, the drive's step is {step:.3g}"
+                raise CannotHold(
+                    "gains.too-fine",
+                    f"'{name}' would be {value:.3g} {what.unit}, the drive's step is {what.step:.3g}",
                 )
-            held[term] = scaling.to_si(parameter, raw)
-        return Cascade(**held)
+            held[term] = what.si(raw)
+        return Cascade(**held) if held else gains
 
     return hold
 
 
-def _parameters(proposal: Proposal, profile: Profile, scaling: Scaling) -> tuple[Change, ...]:
+def _parameters(
+    proposal: Proposal, loops: LoopGains | None, parameters: Parameters
+) -> tuple[Change, ...]:
     """The gains in the drive's own units, where the profile maps them."""
-    if not _mapped(profile, proposal.gains) or profile.loops is None or not proposal.proposed:
+    if not proposal.proposed:
         return ()
     found = []
-    for term, name in profile.loops.terms.items():
-        parameter, value = profile.parameters[name], getattr(proposal.gains, term)
-        raw = scaling.to_raw(parameter, value)
+    for name, value in _mapped(loops, proposal.gains).values():
+        what = parameters[name]
+        raw = what.raw(value)
         found.append(
             Change(
-                name, value, scaling.unit_text(parameter), scaling.to_si(parameter, raw) - value, raw,
-                scaling.raw_unit(parameter), why=f"gain by {proposal.rule}",
+                name, value, what.unit, what.si(raw) - value, raw, what.raw_unit,
+                why=f"gain by {proposal.rule}",
             )
         )  # fmt: skip
     return tuple(found)
@@ -265,12 +272,14 @@ def _set(proposal: Proposal, parameters: tuple[Change, ...], *, best: bool) -> G
     if step is not None:
         response = StepResponse(step.overshoot, step.settling, step.error, step.hunting, step.size)
     of_rule = proposal.rule, proposal.loop, proposal.source, mark
+    why = proposal.why_not
+    code, text = (why.code, why.text) if why is not None else ("", "")
     if gains is None or worth is None:
-        return GainSet(*of_rule, why_not=proposal.why_not)
+        return GainSet(*of_rule, why_not=text, why_not_code=code)
     numbers = {name: _finite(getattr(gains, name)) for name in gains.__slots__}
     return GainSet(
         *of_rule, numbers, worth.phase, worth.gain_db, worth.sensitivity, worth.stable, worth.crossover,
-        worth.bandwidth, response, proposal.proposed, best, proposal.why_not, parameters,
+        worth.bandwidth, response, proposal.proposed, best, text, code, parameters,
     )  # fmt: skip
 
 

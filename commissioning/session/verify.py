@@ -174,12 +174,15 @@ def _no_help(result: RunResult, steps: list[_Step]) -> DoesNotHelp:
 def _check(result: RunResult, run_id: str) -> None:
     coulomb = result.friction.coulomb
     if result.measured and coulomb is not None and not coulomb.value > 0:
-        raise Refused(f"run {run_id} cannot be verified: its friction is {coulomb.value:.3g}")
+        raise Refused(
+            f"run {run_id} cannot be verified: its friction is {coulomb.value:.3g}",
+            code="verify.no-friction",
+        )
     if not result.measured or not result.compensation:
         reason = (
             "it proposes no compensation" if result.measured else f"its status is '{result.status}'"
         )
-        raise Refused(f"run {run_id} cannot be verified: {reason}")
+        raise Refused(f"run {run_id} cannot be verified: {reason}", code="verify.no-proposal")
 
 
 def _options(result: RunResult, wishes: Wishes, *, adopted: bool) -> Options:
@@ -200,12 +203,14 @@ def provable(profile: Profile) -> None:
     if Mode.POSITION not in profile.compensation.acts_in or Mode.POSITION not in profile.modes:
         raise PreflightRefused(
             f"profile '{profile.name}' has no position mode in which its compensation acts, so it "
-            "cannot be seen at work here: watch the following error in the machine's own controller"
+            "cannot be seen at work here: watch the following error in the machine's own controller",
+            code="verify.no-position-mode",
         )
     if profile.compensation.acts_stored:
         raise PreflightRefused(
             f"the compensation of profile '{profile.name}' acts only once it is stored, so it cannot be "
-            "tried step by step: watch the following error in the machine's own controller"
+            "tried step by step: watch the following error in the machine's own controller",
+            code="verify.acts-stored",
         )
 
 

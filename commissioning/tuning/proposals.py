@@ -31,7 +31,18 @@ from commissioning.tuning.rules import (
 )
 from commissioning.tuning.step import Friction, Step, step
 
-__all__ = ["FEWEST_CYCLES", "RULES", "Hold", "Known", "LoopName", "Proposal", "Source", "proposals"]
+__all__ = [
+    "FEWEST_CYCLES",
+    "RULES",
+    "AxisKnown",
+    "CannotHold",
+    "Hold",
+    "LoopName",
+    "Proposal",
+    "Source",
+    "WhyNot",
+    "proposals",
+]
 
 LoopName = Literal["host", "drive"]
 Source = Literal["naive", "corrected"]
@@ -51,7 +62,7 @@ RULES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class AxisKnown:
     """What a run knows of its axis.
 
     Attributes
@@ -80,6 +91,14 @@ class Known:
 
 
 @dataclass(frozen=True, slots=True)
+class WhyNot:
+    """Why a set of gains is not proposed: a stable name, and one line for people."""
+
+    code: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class Proposal:
     """One rule from one source.
 
@@ -91,7 +110,7 @@ class Proposal:
     point : of the loop's plant, that the gains are from; None for rules of the parameters
     gains : None where the rule cannot be used here
     margins, step : on the identified axis; None without gains, or for a velocity loop
-    why_not : why it is not proposed; '' where it is
+    why_not : why it is not proposed; None where it is
     """
 
     rule: str
@@ -101,12 +120,12 @@ class Proposal:
     gains: Gains | None
     margins: Margins | None
     step: Step | None
-    why_not: str
+    why_not: WhyNot | None
 
     @property
     def proposed(self) -> bool:
         """Whether the set may be taken."""
-        return not self.why_not
+        return self.why_not is None
 
 
 class _NotHere(Exception):
@@ -116,16 +135,24 @@ class _NotHere(Exception):
 Hold = Callable[[Gains], Gains]
 
 
+class CannotHold(Exception):
+    """Gains that a controller cannot hold; `why`: a WhyNot."""
+
+    def __init__(self, code: str, text: str) -> None:
+        super().__init__(text)
+        self.why = WhyNot(code, text)
+
+
 def _as_they_are(gains: Gains) -> Gains:
     return gains
 
 
 def proposals(
-    known: Known, loop: LoopName, plant: LoopPlant, hold: Hold = _as_they_are
+    known: AxisKnown, loop: LoopName, plant: LoopPlant, hold: Hold = _as_they_are
 ) -> list[Proposal]:
     """All rules for one loop.
 
-    `hold` gives the gains as the controller can hold them, and raises ValueError where it cannot.
+    `hold` gives the gains as the controller can hold them, and raises CannotHold where it cannot.
     """
     points = _Points(known, loop, plant)
     sources: tuple[Source, ...] = ("naive", "corrected")
@@ -136,7 +163,7 @@ def proposals(
 class _Points:
     """The points of one loop's plant, torque to position, its hold and dead time included."""
 
-    known: Known
+    known: AxisKnown
     loop: LoopName
     plant: LoopPlant
 
@@ -269,12 +296,13 @@ def _one(rule: str, source: Source, points: _Points, hold: Hold) -> Proposal:
     try:
         point, gains = _MAKE[rule](points, source)
     except _NotHere as error:
-        return Proposal(rule, points.loop, source, None, None, None, None, str(error))
-    cannot = ""
+        why = WhyNot("gains.no-point", str(error))
+        return Proposal(rule, points.loop, source, None, None, None, None, why)
+    cannot = None
     try:
         gains = hold(gains)
-    except ValueError as error:
-        cannot = str(error)
+    except CannotHold as error:
+        cannot = error.why
     worth = margins(points.plant, gains)
     moved = None
     if not (isinstance(gains, Cascade) and not gains.position_gain):
@@ -282,34 +310,47 @@ def _one(rule: str, source: Source, points: _Points, hold: Hold) -> Proposal:
         size = _STEP_SHARE * points.known.travel
         moved = step(points.plant, gains, points.known.friction, size, crossover)
     why_not = _why_not(worth, moved, points.known) or cannot
-    if not why_not and source == "naive":
-        why_not = "distorted: from the point as a relay autotuner reads it"
+    if why_not is None and source == "naive":
+        why_not = WhyNot("gains.distorted", "from the point as a relay autotuner reads it")
     return Proposal(rule, points.loop, source, point, gains, worth, moved, why_not)
 
 
-def _why_not(worth: Margins, moved: Step | None, known: Known) -> str:
-    """Why a set is not proposed, a word or two before a colon; '' where it is."""
+def _why_not(worth: Margins, moved: Step | None, known: AxisKnown) -> WhyNot | None:
+    """Why a set is not proposed."""
     goal = known.travel * _STEP_SHARE
     checks = (
-        (not worth.stable, "unstable"),
-        (worth.phase is None, "no crossover: the loop's gain never passes 1"),
-        (worth.phase is not None and worth.phase < LEAST_MARGIN, f"below {LEAST_MARGIN:g}°"),
-        (worth.sensitivity > MOST_SENSITIVITY, f"Ms above {MOST_SENSITIVITY:g}"),
+        (not worth.stable, "unstable", "the loop is unstable"),
+        (worth.phase is None, "no-crossover", "the loop's gain never passes 1"),
+        (
+            worth.phase is not None and worth.phase < LEAST_MARGIN,
+            "margin",
+            f"its phase margin is below {LEAST_MARGIN:g}°",
+        ),
+        (
+            worth.sensitivity > MOST_SENSITIVITY,
+            "sensitivity",
+            f"its sensitivity Ms is above {MOST_SENSITIVITY:g}",
+        ),
         (
             worth.crossover is not None and worth.crossover > _SEEN * known.seen,
-            f"too fast: the axis was seen up to {known.seen:.3g} rad/s, and may have a resonance beyond",
+            "too-fast",
+            f"the axis was seen up to {known.seen:.3g} rad/s, and may have a resonance beyond",
         ),
         (
             moved is not None and abs(moved.error) + moved.hunting > _STUCK * goal,
-            "off its goal: friction stops the axis short of it, or it hunts about it",
+            "off-goal",
+            "friction stops the axis short of its goal, or it hunts about it",
         ),
         (
             moved is not None and moved.overshoot > _OVERSHOOT,
-            f"overshoots: by more than {100 * _OVERSHOOT:.0f} % with this friction and torque limit",
+            "overshoots",
+            f"it overshoots by more than {100 * _OVERSHOOT:.0f} % with this friction and torque limit",
         ),
         (
             moved is not None and moved.settling is None,
-            "does not settle: it does not stay within 2 % of the step while it was followed",
+            "unsettled",
+            "it does not stay within 2 % of the step while it was followed",
         ),
     )
-    return next((text for applies, text in checks if applies), "")
+    found = ((code, text) for applies, code, text in checks if applies)
+    return next((WhyNot(f"gains.{code}", text) for code, text in found), None)

@@ -179,11 +179,14 @@ class CanopenBus:
                 raise LinkError(
                     f"{at} has {len(data)} byte{'s' * (len(data) != 1)} in the drive, and {width} in profile "
                     f"'{self._profile.name}': does its value lie behind sub-index 1? Then it needs a profile "
-                    "of its own ('tworelay profile new')"
+                    "of its own ('tworelay profile new')",
+                    code="link.length",
                 )
             self._widths[at] = width = len(data)
         elif len(data) < width:
-            raise LinkError(f"{at}: the answer has {len(data)} bytes, not {width}")
+            raise LinkError(
+                f"{at}: the answer has {len(data)} bytes, not {width}", code="link.length"
+            )
         return int(struct.unpack_from("<" + code_of(at, width), data)[0])
 
     def _packed(self, at: CanopenAddress, raw: int) -> bytes:
@@ -380,7 +383,7 @@ class CanopenBus:
         if command is not None and (left or self._wire.nmt_commanded != command):
             self._wire.nmt(command)
         if failures:
-            raise WriteFailed("; ".join(failures))
+            raise WriteFailed("; ".join(failures), code="write.bus")
         self._old = {at: raw for at, raw in self._old.items() if at not in objects}
         return changed
 
@@ -393,14 +396,16 @@ class CanopenBus:
             if not wire.await_sync(max(_SYNC_PATIENCE, 3 * self.cycle)):
                 raise PreflightRefused(
                     f"no SYNC on the bus within {_SYNC_PATIENCE:g} s: is its producer on? Without "
-                    "sync=bus in the link, tworelay produces it"
+                    "sync=bus in the link, tworelay produces it",
+                    code="sync.none",
                 )
             arrivals.append(perf_counter())
         period = sync_period(arrivals)
         if abs(period - self.cycle) > _SYNC_TOLERANCE * self.cycle:
             raise PreflightRefused(
                 f"SYNC comes every {period * 1000:g} ms and the cycle is {self.cycle * 1000:g} ms: give "
-                f"--cycle {period:g}"
+                f"--cycle {period:g}",
+                code="sync.period",
             )
 
     def _heartbeat_time(self) -> int | None:
@@ -443,7 +448,8 @@ class CanopenBus:
             wire.restarted = False  # said once: the stop path still waits for standstill
             raise LinkLost(
                 f"node {wire.node} has restarted (its boot-up message was heard): was its supply "
-                "interrupted?"
+                "interrupted?",
+                code="link.restarted",
             )
         if not self._silence_allowed or wire.heartbeat_state is None:
             return
@@ -452,7 +458,8 @@ class CanopenBus:
         if silent > self._silence_allowed:
             self._silence_allowed = 0.0
             raise LinkLost(
-                f"no heartbeat from node {wire.node} for {silent * 1000:.0f} ms: the link is lost"
+                f"no heartbeat from node {wire.node} for {silent * 1000:.0f} ms: the link is lost",
+                code="link.heartbeat",
             )
 
     def exchange(self, values: tuple[int, ...]) -> Exchange:
@@ -487,12 +494,14 @@ class CanopenBus:
             if silent >= MISSED_CYCLES:
                 raise LinkLost(
                     f"no SYNC on the bus for {silent} cycles of {self.cycle * 1000:g} ms: its producer has "
-                    "stopped (sync=bus in the link waits for it)"
+                    "stopped (sync=bus in the link waits for it)",
+                    code="sync.stopped",
                 )
             if lost >= MISSED_CYCLES:
                 raise LinkLost(
                     f"no TPDO from node {wire.node} for {lost} cycles of "
-                    f"{self.cycle * 1000:g} ms: the link is lost{self._last_word()}"
+                    f"{self.cycle * 1000:g} ms: the link is lost{self._last_word()}",
+                    code="link.tpdo",
                 )
 
     def _beat(self) -> None:

@@ -62,7 +62,8 @@ class PdoParameters:
             raise PreflightRefused(
                 f"PDO {communication:04X}h, {pdo.mapping:04X}h cannot be set up ({denied}), and as it is "
                 f"{' and '.join(wrong)}: map it with the drive's own software, or write a profile whose "
-                "[cycle] says rpdo, tpdo, out and in as the drive has them"
+                "[cycle] says rpdo, tpdo, out and in as the drive has them",
+                code="pdo.refused",
             ) from None
         pdo.adopt(kept, self._uploaded if pdo.is_ours else None)
 
@@ -84,7 +85,7 @@ class PdoParameters:
         there = self.there(communication)
         if not agree(there, used):
             wrong = [name_of(at) for at, raw in used.items() if there.get(at) != raw]
-            raise WriteFailed(f"the drive did not take {', '.join(wrong)} back")
+            raise WriteFailed(f"the drive did not take {', '.join(wrong)} back", code="write.bus")
         return True
 
     def there(self, communication: int) -> Objects:

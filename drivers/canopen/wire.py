@@ -80,12 +80,15 @@ def open_bus(interface: str, channel: str, bitrate: int, timeout: float) -> can.
             known = ", ".join(sorted(can.VALID_INTERFACES))
             raise UsageError(f"no CAN interface '{interface}'; python-can has: {known}") from None
         raise LinkError(
-            f"CAN interface '{interface}' cannot be used here: {_first_line(error)}; is its driver installed?"
+            f"CAN interface '{interface}' cannot be used here: {_first_line(error)}; is its "
+            "driver installed?",
+            code="link.adapter",
         ) from None
     except Exception as error:
         raise LinkError(
             f"cannot open CAN channel '{channel}' on '{interface}': {_first_line(error)}; is the adapter "
-            "plugged in, and free?"
+            "plugged in, and free?",
+            code="link.adapter",
         ) from None
     if interface == "socketcand":
         _untangle_socketcand(bus)
@@ -174,14 +177,18 @@ def _greet(host: str, port: int, timeout: float) -> None:
             hello = stream.recv(64)
     except TimeoutError:
         raise LinkError(
-            f"{host}:{port} does not greet as socketcand within {timeout:g} s: is it that port?"
+            f"{host}:{port} does not greet as socketcand within {timeout:g} s: is it that port?",
+            code="link.socketcand",
         ) from None
     except OSError as error:
         raise LinkError(
-            f"cannot connect to socketcand at {host}:{port}: {error.strerror or error}"
+            f"cannot connect to socketcand at {host}:{port}: {error.strerror or error}",
+            code="link.connect",
         ) from None
     if not hello.startswith(b"< hi"):
-        raise LinkError(f"{host}:{port} is no socketcand server: it says {hello[:20]!r}")
+        raise LinkError(
+            f"{host}:{port} is no socketcand server: it says {hello[:20]!r}", code="link.socketcand"
+        )
 
 
 def _first_line(error: Exception) -> str:
@@ -309,7 +316,7 @@ class CanWire:
             self._bus.send(message, timeout=0.1)
         except (can.CanError, OSError, ValueError) as error:
             reason = self.bus_trouble or _first_line(error)
-            raise LinkLost(f"cannot send on the CAN bus: {reason}") from None
+            raise LinkLost(f"cannot send on the CAN bus: {reason}", code="link.send") from None
 
     @property
     def can_guard(self) -> bool:
@@ -343,7 +350,9 @@ class CanWire:
             self.garbled += 1
             return True
         except (can.CanError, OSError) as error:
-            raise LinkLost(f"the CAN adapter failed: {_first_line(error)}") from None
+            raise LinkLost(
+                f"the CAN adapter failed: {_first_line(error)}", code="link.adapter-failed"
+            ) from None
         if message is None:
             return False
         data = bytes(message.data)
@@ -456,7 +465,8 @@ class CanWire:
             found += part
             if len(found) > _LARGEST_OBJECT:
                 raise LinkError(
-                    f"node {self.node} sends more than {_LARGEST_OBJECT} bytes of one object: no drive does"
+                    f"node {self.node} sends more than {_LARGEST_OBJECT} bytes of one object: no drive does",
+                    code="link.too-long",
                 )
         return found
 

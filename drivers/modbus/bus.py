@@ -239,12 +239,15 @@ class ModbusBus:
                 answer, latched = self._transact(words)
             except (NoAnswer, AccessDenied) as error:
                 if isinstance(error, AccessDenied) and not error.busy:
-                    raise DriveFault(f"the drive refuses the cycle: {error}") from None
+                    raise DriveFault(
+                        f"the drive refuses the cycle: {error}", code="drive.refuses-cycle"
+                    ) from None
                 missed += 1
                 if missed >= MISSED_CYCLES:
                     raise LinkLost(
                         f"no answer for {missed} cycles of {self.cycle * 1000:g} ms: the link is "
-                        f"lost ({error})"
+                        f"lost ({error})",
+                        code="link.silent",
                     ) from None
                 continue
             if pace.stepping:

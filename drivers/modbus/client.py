@@ -173,7 +173,7 @@ class Client:
         """
         client = self._client
         if client.socket is None:
-            raise LinkLost(f"the connection to {self.where} is closed")
+            raise LinkLost(f"the connection to {self.where} is closed", code="link.closed")
         patience = self._timeout if timeout is None else timeout
         if self._is_line:
             self._settle(kind, 0.0 if at_once else patience, in_cycle=in_cycle)
@@ -187,12 +187,14 @@ class Client:
             answer = request(device_id=self._unit, **arguments)
         except ConnectionException:
             raise LinkLost(
-                f"{self.where} closed the connection (cable, power, or too many masters?)"
+                f"{self.where} closed the connection (cable, power, or too many masters?)",
+                code="link.closed",
             ) from None
         except OSError as error:
             self._drop()
             raise LinkLost(
-                f"the connection to {self.where} broke: {error.strerror or error}"
+                f"the connection to {self.where} broke: {error.strerror or error}",
+                code="link.closed",
             ) from None
         except ModbusException:
             has_come = self._incoming.is_broken()
@@ -202,7 +204,8 @@ class Client:
         except (IndexError, ValueError, KeyError, AttributeError, TypeError, struct.error) as error:
             # a malformed answer trips the library's decoder
             raise LinkError(
-                f"{self.where} sent an answer that is no Modbus ({type(error).__name__}: {error})"
+                f"{self.where} sent an answer that is no Modbus ({type(error).__name__}: {error})",
+                code="link.answer",
             ) from None
         finally:
             if self._silence is not None:
@@ -213,7 +216,8 @@ class Client:
                 raise self._of_before(kind)
             raise LinkError(
                 f"{self.where} answers a write of register {arguments.get('address', 0):04X}h with something "
-                "else: that is no answer to it; is this drive's profile right?"
+                "else: that is no answer to it; is this drive's profile right?",
+                code="link.answer",
             )
         if answer.isError():
             code = getattr(answer, "exception_code", 0)
@@ -293,7 +297,8 @@ class Client:
         if is_stray and not in_cycle:
             raise LinkError(
                 f"{self.where} sent an answer that nobody waited for: do answers come twice, or does another "
-                "master ask on this line? No value can be relied on: find out first"
+                "master ask on this line? No value can be relied on: find out first",
+                code="link.answer",
             )
         if in_cycle and (is_stray or now - begun > _NO_TIME):
             raise NoAnswer(f"{self.where} answered late: this cycle is missed")
@@ -308,7 +313,9 @@ class Client:
         try:
             data = self._client.raw(seconds)
         except (ConnectionException, OSError):
-            raise LinkLost(f"{self.where} closed the connection (cable, power?)") from None
+            raise LinkLost(
+                f"{self.where} closed the connection (cable, power?)", code="link.closed"
+            ) from None
         if data and self._trace is not None:
             self._trace(False, data)
         self._late, answers = self._incoming.late_in(self._late + data)
@@ -469,7 +476,8 @@ class Client:
             if self._is_line:
                 raise self._of_before(kind)
             raise LinkError(
-                f"{self.where} sent {len(registers)} registers where {count} were asked for"
+                f"{self.where} sent {len(registers)} registers where {count} were asked for",
+                code="link.answer",
             )
         return registers
 
@@ -548,12 +556,14 @@ def _connected(wire: TcpWire, timeout: float, on_packet: Packet, came: Came) -> 
     except TimeoutError:
         raise LinkError(
             f"{place} does not answer within {timeout:g} s; is the address right, the cable in, the "
-            "drive on?"
+            "drive on?",
+            code="link.connect",
         ) from None
     except OSError as error:
         raise LinkError(
             f"cannot connect to {place}: {error.strerror or error}; is the address right, and Modbus "
-            "TCP switched on in the drive?"
+            "TCP switched on in the drive?",
+            code="link.connect",
         ) from None
     plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     client.socket = plain if wire.tls is None else wire.tls.wrap(plain, wire.host)
@@ -587,7 +597,9 @@ class _SerialClient(ModbusSerialClient):
             number = getattr(error, "errno", None) or 0
             text = str(error)
             words = _WORDS.get(number, "") or (_WORDS[16] if "lock" in text else "")
-            raise LinkError(f"cannot open {line.port}: {words or text}") from None
+            raise LinkError(
+                f"cannot open {line.port}: {words or text}", code="link.connect"
+            ) from None
 
     def raw(self, seconds: float) -> bytes:
         """What comes within some time, as soon as anything does; raises ConnectionException."""

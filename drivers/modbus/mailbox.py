@@ -30,7 +30,9 @@ class MailboxAccess:
         length = self._client.read(_READ, box.length, 1)[0]
         wanted = WIDTH_BITS[address.type] // 8
         if length != wanted:
-            raise LinkError(f"{address} has {length} bytes in the drive, not {wanted}")
+            raise LinkError(
+                f"{address} has {length} bytes in the drive, not {wanted}", code="link.length"
+            )
         words = self._client.read(_READ, box.data, (length + 1) // 2)
         data = b"".join(word.to_bytes(2, "little") for word in words)[:length]
         return int.from_bytes(data, "little", signed=address.type[0] == "i")
@@ -57,7 +59,10 @@ class MailboxAccess:
         deadline = perf_counter() + box.within
         while (status := self._client.read(_READ, box.request, 1)[0]) == code:
             if perf_counter() > deadline:
-                raise LinkError(f"{address}: the mailbox is busy for more than {box.within:g} s")
+                raise LinkError(
+                    f"{address}: the mailbox is busy for more than {box.within:g} s",
+                    code="link.mailbox",
+                )
             sleep(_POLL)
         if status != box.done_code:
             raise AccessDenied(

@@ -62,7 +62,7 @@ class Tls:
                         f"it: have both issued anew (authority: {self.authority}), with key identifiers, "
                         "key usage and critical basic constraints"
                     )
-            raise LinkError(f"no TLS with {host}: {reason}; {hint}") from None
+            raise LinkError(f"no TLS with {host}: {reason}; {hint}", code="link.tls") from None
 
     def _context(self) -> ssl.SSLContext:
         """What is asked of a certificate on every Python alike: what 3.13 asks; raises UsageError."""

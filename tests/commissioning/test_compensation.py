@@ -13,6 +13,7 @@ from profiles.axis import Mechanics
 from profiles.law import Compensation, CompensationLaw
 from profiles.library import load_profile
 from profiles.schema import Profile
+from tests.raising import raises
 
 BASE = load_profile("virtual-modbus")
 SCALING = Scaling(1.0, 131072, Mechanics())
@@ -96,5 +97,5 @@ def test_rounding_is_said() -> None:
 
 
 def test_a_friction_outside_the_drive_s_range_is_refused() -> None:
-    with pytest.raises(WriteFailed, match="outside"):
+    with raises(WriteFailed, "write.range"):
         propose(BASE.compensation, parameters(BASE), found(1.5, None), OLD)

@@ -25,6 +25,7 @@ from profiles.axis import Axis
 from profiles.procedures import Mode
 from tests.commissioning.test_guardian_line import impatient
 from tests.conftest import Serve
+from tests.raising import raises
 from tests.serving import WIRES
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="descriptors are inherited on POSIX")
@@ -217,7 +218,7 @@ def test_a_port_that_the_guardian_cannot_open_is_the_loop_s_again(
 
     monkeypatch.setattr(commissioning.guardian, "_process", none)
     with (
-        pytest.raises(PreflightRefused, match="no guardian process can be started"),
+        raises(PreflightRefused, "preflight.guardian"),
         energised(serve, "modbus-rtu", tmp_path),
     ):
         pass

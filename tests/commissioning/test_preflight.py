@@ -24,6 +24,7 @@ from profiles.axis import Axis, AxisLimits
 from profiles.errors import UsageError
 from profiles.procedures import Mode
 from profiles.schema import Profile
+from tests.raising import raises
 
 AXIS = axis_of("virtual://bench")
 COUNT = 6.283185307179586 / 131072  # rad
@@ -62,14 +63,14 @@ def test_a_drive_in_fault_or_with_energy_or_without_torque_mode_is_refused(
 ) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(drive, "state", says(drive, in_fault=True))
-        with pytest.raises(PreflightRefused, match="the drive is in fault"):
+        with raises(PreflightRefused, "preflight.fault"):
             look(drive, AXIS)
     with monkeypatch.context() as patch:
         patch.setattr(drive, "state", says(drive, is_energised=True))
         with pytest.raises(PreflightRefused, match="already enabled"):
             look(drive, AXIS)
     changed(drive, modes={})
-    with pytest.raises(PreflightRefused, match="no torque command"):
+    with raises(PreflightRefused, "mode.no-torque"):
         look(drive, AXIS)
 
 
@@ -95,7 +96,7 @@ def test_a_compensation_that_acts_in_torque_mode_must_be_zero(drive: ProfiledDri
     changed(drive, compensation=law.model_copy(update={"acts_in": (Mode.TORQUE, Mode.POSITION)}))
     look(drive, AXIS)
     drive.write("coulomb_positive", 1)
-    with pytest.raises(PreflightRefused, match="coulomb_positive is not zero"):
+    with raises(PreflightRefused, "preflight.compensation"):
         look(drive, AXIS)
     changed(drive, compensation=law)
     look(drive, AXIS)
@@ -290,7 +291,7 @@ def test_a_drive_that_is_enabled_by_being_prepared_is_stopped_and_refused(
         return stop()
 
     monkeypatch.setattr(drive, "stop", stopped)
-    with pytest.raises(PreflightRefused, match="became enabled while it was prepared"):
+    with raises(PreflightRefused, "preflight.enabled-itself"):
         preflight.set_limits(drive, settings, LIMITS, lambda text: None)
     assert stops == [True]
 
@@ -317,7 +318,7 @@ told: list[str] = []
 
 def test_a_drive_without_a_watchdog_wants_the_user_s_word(drive: ProfiledDrive) -> None:
     changed(drive, watchdog=drive.profile.watchdog.model_copy(update={"kind": "none"}))
-    with pytest.raises(PreflightRefused, match="--without-watchdog takes that risk"):
+    with raises(PreflightRefused, "preflight.no-watchdog"):
         proved(drive)
     assert proved(drive, without=True) == ""
     assert "no watchdog of the drive is proved" in told[0]
@@ -374,7 +375,7 @@ def test_a_drive_that_stops_before_it_was_silent_is_no_proof(
         return sample._replace(status=replace(sample.status, enabled=enabled))
 
     monkeypatch.setattr(armed, "exchange", stops)
-    with pytest.raises(DriveFault, match="stopped before the proof of its watchdog"):
+    with raises(DriveFault, "watchdog.stopped-before"):
         proved(armed)
     assert count == [5]
     assert not armed.state().is_energised
@@ -384,7 +385,7 @@ def test_another_fault_than_the_watchdog_s_stays_in_the_drive(armed: ProfiledDri
     armed.write("abort_connection_option", 1)
     found = proved(armed)
     assert "8100h" in found
-    with pytest.raises(DriveFault, match="something else has stopped it"):
+    with raises(DriveFault, "watchdog.another-fault"):
         proved(armed, before="fault, error code 4310h")
     assert armed.state().in_fault, "it is not reset: somebody has to look it up"
 

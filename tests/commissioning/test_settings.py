@@ -19,6 +19,7 @@ from drivers.scaling import Scaling
 from profiles.axis import Mechanics
 from profiles.library import load_profile
 from profiles.schema import Profile
+from tests.raising import raises
 
 PROFILE = load_profile("virtual-canopen")
 SCALING = Scaling(1.0, 4096.0, Mechanics())
@@ -120,9 +121,9 @@ def test_the_intent_stands_in_the_journal_before_the_write_and_is_verified_after
 def test_only_what_the_profile_gives_for_this_is_written(
     journal: Journal, drive: Drawer, settings: Settings
 ) -> None:
-    with pytest.raises(WriteFailed, match="'max_torque' is no compensation parameter in profile"):
+    with raises(WriteFailed, "write.kind"):
         settings.write("compensation", "max_torque", 1)
-    with pytest.raises(WriteFailed, match="'statusword' is no experiment parameter"):
+    with raises(WriteFailed, "write.kind"):
         settings.write("experiment", "statusword", 1)
     assert state(journal, drive) == []
     assert settings.write("experiment", "mode_of_operation", 10), "a command that is put back"

@@ -19,6 +19,7 @@ from drivers.virtual.device import Device
 from drivers.virtual.firmware import Firmware, State
 from profiles.library import load_profile
 from profiles.procedures import Mode
+from tests.raising import raises
 
 WIDE = Envelope(centre=0.0, travel=100.0, speed=500.0, torque=1.0, duration=60.0)
 
@@ -78,7 +79,7 @@ def test_a_good_end_disables_too(drive: ProfiledDrive) -> None:
 
 def test_the_envelope_stops_the_axis(drive: ProfiledDrive) -> None:
     narrow = Envelope(centre=0.0, travel=0.05, speed=500.0, torque=1.0, duration=60.0)
-    with pytest.raises(EnvelopeTripped, match="travel"):
+    with raises(EnvelopeTripped, "limit.travel"):
         run(push(), drive, narrow, Recorder(), Interruption())
     assert not firmware_of(drive).energised
 

@@ -18,6 +18,7 @@ from drivers.virtual.firmware import Firmware
 from profiles.errors import UnknownName
 from profiles.procedures import Mode
 from tests.conftest import Serve
+from tests.raising import raises
 from tests.serving import WIRES
 
 CYCLE = 0.002
@@ -61,9 +62,9 @@ def test_the_whole_life_of_a_drive(drive: Drive, tmp_path: Path) -> None:
     drive.write("coulomb_positive", drive.parameters["coulomb_positive"].checked_raw(0.0871))
     assert drive.read("coulomb_positive").si == pytest.approx(0.087)
     drive.store()
-    with pytest.raises(WriteFailed, match="outside"):
+    with raises(WriteFailed, "write.range"):
         drive.write("coulomb_positive", drive.parameters["coulomb_positive"].checked_raw(5.0))
-    with pytest.raises(WriteFailed, match="protection"):
+    with raises(WriteFailed, "write.protected"):
         drive.write("controlword", 15)
     with pytest.raises(UnknownName):
         drive.read("no_such_parameter")
@@ -117,7 +118,7 @@ def test_a_drive_in_fault_is_not_enabled_and_resets_without_energy(drive: Drive)
     drive.exchange(0.0)
     drive.wait(0.3)
     assert drive.state().in_fault
-    with pytest.raises(PreflightRefused, match="in fault"):
+    with raises(PreflightRefused, "preflight.fault"):
         drive.enable(Mode.TORQUE)
     drive.reset_fault()
     assert not drive.state().in_fault
@@ -139,7 +140,7 @@ def test_what_the_drive_refuses_comes_back_as_a_refusal(drive: Drive) -> None:
 
 def test_nothing_is_stored_while_the_drive_is_enabled(drive: Drive) -> None:
     drive.enable(Mode.TORQUE)
-    with pytest.raises(WriteFailed, match="disable it first"):
+    with raises(WriteFailed, "store.enabled"):
         drive.store()
     drive.stop()
 
@@ -156,6 +157,6 @@ def test_a_set_point_that_its_register_cannot_hold_is_refused_and_not_sent(
     ):
         drive.exchange(sign * 40_000 * step)
     assert drive.stop().deenergised
-    with pytest.raises(PreflightRefused, match="takes"):
+    with raises(PreflightRefused, "set-point.range"):
         drive.enable(Mode.TORQUE, sign * 40_000 * step)
     assert not drive.state().is_energised

@@ -12,6 +12,7 @@ from drivers.scan import scan
 from profiles.errors import UsageError
 from tests.conftest import Serve, Tworelay
 from tests.peers import Nodes, gateway
+from tests.raising import raises
 
 
 def quiet(step: int) -> None:
@@ -73,7 +74,7 @@ def test_the_command_names_drive_profile_and_link(
 def test_what_cannot_be_scanned_is_said() -> None:
     with pytest.raises(UsageError, match="serve the axis"):
         scan("virtual://bench", range(1), None, quiet)
-    with pytest.raises(LinkError, match="cannot connect"):
+    with raises(LinkError, "link.connect"):
         scan("modbus-tcp://127.0.0.1:1", range(1), None, quiet)
 
 

@@ -209,7 +209,7 @@ def test_a_refused_act_leaves_its_run_as_it_was(tworelay: Tworelay, after: Twore
     done = tworelay("apply", "last", "--json", "-")
     assert done.returncode == 3
     result = json.loads(done.stdout)
-    assert (result["status"], result["error"]["code"]) == ("refused", "refused")
+    assert (result["status"], result["error"]["code"]) == ("refused", "refused.no-terminal")
     assert result["ending"]["axis"] == "not moved"
     assert kept() == before
 

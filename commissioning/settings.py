@@ -186,7 +186,7 @@ def planned(drive: Drive, intents: list[Intent], *, force: bool = False) -> list
     found = []
     for name in back.order:
         try:
-            found.append(back.plan(name))
+            found.append(back.way(name))
         except LinkError:
             raise
         except TwoRelayError as error:
@@ -213,7 +213,7 @@ class _Back:
         self.order = sorted(known, key=lambda name: name in self._commands.names)
         self.of_the_bus = {n: old for n, old in self.oldest.items() if n not in drive.parameters}
 
-    def plan(self, name: str) -> Return:
+    def way(self, name: str) -> Return:
         """What is to be done with one parameter; raises WriteFailed, LinkError."""
         there, old = self._drive.read(name).raw, self.oldest[name]
         known, what = self._commands, self._drive.parameters[name]
@@ -239,19 +239,19 @@ class _Back:
 
     def put(self, name: str, outcome: Restored) -> None:
         """One parameter; raises WriteFailed, LinkError."""
-        plan = self.plan(name)
-        if plan.why_not:
-            outcome.skipped[name] = plan.why_not
+        way = self.way(name)
+        if way.why_not:
+            outcome.skipped[name] = way.why_not
             return
-        if plan.there == plan.old:
+        if way.there == way.old:
             outcome.already.append(name)
             return
         if name in self._commands.names and self._drive.state().is_energised:
             raise WriteFailed("not put back while the drive is enabled", code="write.enabled")
         try:
-            self._drive.write(name, plan.old)
+            self._drive.write(name, way.old)
         except WriteDenied as denied:
-            if name != "mode_of_operation" or plan.old != _NO_MODE or denied.busy:
+            if name != "mode_of_operation" or way.old != _NO_MODE or denied.busy:
                 raise
             outcome.left[name] = "the drive does not take 'no mode' (0) back; it has no energy"
             return

@@ -9,11 +9,10 @@ from drivers.bus import Bus
 from drivers.errors import AccessDenied, WriteFailed
 from drivers.patience import patiently
 from profiles.errors import UnknownName
-from profiles.parameter import Access as Way
-from profiles.parameter import Parameter
+from profiles.parameter import Access, Parameter
 from profiles.schema import Profile
 
-__all__ = ["POLL", "Access"]
+__all__ = ["POLL", "RawAccess"]
 
 POLL = 0.005  # s between two looks at a state
 _BUSY = 0.05  # s until a busy drive is asked again
@@ -21,7 +20,7 @@ _BUSY = 0.05  # s until a busy drive is asked again
 T = TypeVar("T")
 
 
-class Access:
+class RawAccess:
     """What is read from, and written to, the drive on `bus` that `profile` describes."""
 
     def __init__(self, bus: Bus, profile: Profile) -> None:
@@ -39,7 +38,7 @@ class Access:
     def read(self, name: str) -> int:
         """Raw value of a parameter; raises LinkError, AccessDenied."""
         parameter = self.parameter(name)
-        if parameter.access is Way.WRITE_ONLY:
+        if parameter.access is Access.WRITE_ONLY:
             raise WriteFailed(
                 f"'{name}' ({parameter.address}) can only be written",
                 code="read.write-only",
@@ -69,7 +68,7 @@ class Access:
     def verify(self, name: str, raw: int) -> None:
         """See that the drive took a raw value; raises WriteFailed, LinkError."""
         parameter = self.parameter(name)
-        if parameter.access is Way.WRITE_ONLY:
+        if parameter.access is Access.WRITE_ONLY:
             return
         there = self.patiently(lambda: self.bus.read(parameter.address))
         if there != raw:

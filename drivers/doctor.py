@@ -22,7 +22,7 @@ from drivers.link_text import Link, parse
 from profiles.errors import TwoRelayError
 from profiles.procedures import LinkDefaults, Patience
 
-__all__ = ["Finding", "of_link", "of_machine"]
+__all__ = ["Check", "of_link", "of_machine"]
 
 _PACKAGES = ("tworelay", "pymodbus", "python-can", "canopen", "pyserial", "numpy", "scipy")
 _CAN_DEVICE = "280"  # ARPHRD_CAN, /sys/class/net/*/type
@@ -39,14 +39,14 @@ _ANSWER = 0.65  # s: some slaves lose framing for half a second
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class Check:
     """One line: `ok`, a `note`, a `warning`, or a `problem` that keeps a job from running."""
 
     level: Literal["ok", "note", "warning", "problem"]
     text: str
 
 
-def of_machine() -> Iterator[Finding]:
+def of_machine() -> Iterator[Check]:
     """Versions, clock, ports, adapters, permissions."""
     yield from _versions()
     yield from _state_folder()
@@ -56,33 +56,33 @@ def of_machine() -> Iterator[Finding]:
     yield from _can_interfaces()
 
 
-def _versions() -> Iterator[Finding]:
-    yield Finding(
+def _versions() -> Iterator[Check]:
+    yield Check(
         "ok", f"Python {platform.python_version()} on {platform.system()} {platform.release()}"
     )
     found = []
     for name in _PACKAGES:
         with contextlib.suppress(PackageNotFoundError):
             found.append(f"{name} {version(name)}")
-    yield Finding("ok", ", ".join(found))
+    yield Check("ok", ", ".join(found))
 
 
-def _state_folder() -> Iterator[Finding]:
+def _state_folder() -> Iterator[Check]:
     folder = home()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        yield Finding("problem", f"the state folder {folder} cannot be made: {error.strerror}")
+        yield Check("problem", f"the state folder {folder} cannot be made: {error.strerror}")
         return
     if os.access(folder, os.W_OK):
-        yield Finding("ok", f"state folder {folder}")
+        yield Check("ok", f"state folder {folder}")
     else:
-        yield Finding("problem", f"the state folder {folder} cannot be written; set TWORELAY_HOME")
+        yield Check("problem", f"the state folder {folder} cannot be written; set TWORELAY_HOME")
 
 
-def _priority() -> Iterator[Finding]:
+def _priority() -> Iterator[Check]:
     if sys.platform != "linux":
-        yield Finding(
+        yield Check(
             "note", "this system has no real-time priority to give: plan with 10 ms and more"
         )
         return
@@ -90,16 +90,16 @@ def _priority() -> Iterator[Finding]:
 
     rtprio, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
     if rtprio > 0 or os.geteuid() == 0:
-        yield Finding("ok", "real-time priority is permitted")
+        yield Check("ok", "real-time priority is permitted")
     else:
-        yield Finding(
+        yield Check(
             "note",
             "no real-time priority for this user: under load cycles come late; to permit it, add "
             "'@dialout - rtprio 80' and '@dialout - memlock unlimited' to /etc/security/limits.conf",
         )
 
 
-def _clock() -> Iterator[Finding]:
+def _clock() -> Iterator[Check]:
     late = []
     for _ in range(_NAPS):
         begin = time.perf_counter()
@@ -107,24 +107,24 @@ def _clock() -> Iterator[Finding]:
         late.append(time.perf_counter() - begin - _NAP)
     middle, worst = statistics.median(late), max(late)
     text = f"a sleep of {_NAP * 1000:g} ms is late by {middle * 1000:.2f} ms, {worst * 1000:.1f} ms at worst"
-    yield Finding("ok" if middle < _LATE else "warning", text)
+    yield Check("ok" if middle < _LATE else "warning", text)
 
 
-def _serial_ports() -> Iterator[Finding]:
+def _serial_ports() -> Iterator[Check]:
     from serial.tools import list_ports
 
     ports = [p for p in list_ports.comports() if p.hwid != "n/a"]
     if not ports:
-        yield Finding("note", "no serial adapter is plugged in")
+        yield Check("note", "no serial adapter is plugged in")
     for port in ports:
-        yield Finding("ok", f"serial port {port.device}: {port.description}")
+        yield Check("ok", f"serial port {port.device}: {port.description}")
         if sys.platform != "win32" and not os.access(port.device, os.R_OK | os.W_OK):
-            yield Finding(
+            yield Check(
                 "problem", f"{port.device}: this user may not use it; add the user to group dialout"
             )
         timer = latency_timer(port.device)
         if timer is not None and timer > _SLOW_LATENCY:
-            yield Finding(
+            yield Check(
                 "warning",
                 f"{port.device}: its latency timer is {timer} ms, so that every answer comes that late; "
                 f"'echo 1 | sudo tee {_timer_file(port.device)}' mends it until it is unplugged",
@@ -143,9 +143,9 @@ def latency_timer(device: str) -> int | None:
         return None
 
 
-def _can_interfaces() -> Iterator[Finding]:
+def _can_interfaces() -> Iterator[Check]:
     if sys.platform != "linux" or not hasattr(socket, "AF_CAN"):
-        yield Finding(
+        yield Check(
             "note",
             "no SocketCAN on this system: CAN adapters by their own drivers (PCAN, Kvaser, slcan)",
         )
@@ -153,7 +153,7 @@ def _can_interfaces() -> Iterator[Finding]:
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except OSError:
-        yield Finding("note", "this kernel has no SocketCAN: slcan and socketcand work without")
+        yield Check("note", "this kernel has no SocketCAN: slcan and socketcand work without")
         return
     found = False
     for folder in sorted(Path("/sys/class/net").glob("*")):
@@ -162,43 +162,43 @@ def _can_interfaces() -> Iterator[Finding]:
                 continue
             found = True
             if (folder / "operstate").read_text().strip() == "down":
-                yield Finding(
+                yield Check(
                     "problem",
                     f"{folder.name} is down: sudo ip link set {folder.name} up type can bitrate 500000",
                 )
             else:
-                yield Finding("ok", f"CAN interface {folder.name} is up")
+                yield Check("ok", f"CAN interface {folder.name} is up")
     if not found:
-        yield Finding("note", "no CAN interface is there (ip link shows none of type can)")
+        yield Check("note", "no CAN interface is there (ip link shows none of type can)")
 
 
 # -- a link -------------------------------------------------------------------------------------------
 
 
-def of_link(text: str, tell: Callable[[str], None]) -> Iterator[Finding]:
+def of_link(text: str, tell: Callable[[str], None]) -> Iterator[Check]:
     """Why a LINK works or not; raises UsageError. `tell` hears what takes long."""
     link = parse(text)
     if link.scheme == "virtual":
         check_virtual(link)
-        yield Finding("ok", "virtual:// is in this process: nothing to be wrong with")
+        yield Check("ok", "virtual:// is in this process: nothing to be wrong with")
     elif link.scheme == "canopen":
         yield from _of_canopen(link, tell)
     else:
         yield from _of_modbus(link, tell)
 
 
-def _of_canopen(link: Link, tell: Callable[[str], None]) -> Iterator[Finding]:
+def _of_canopen(link: Link, tell: Callable[[str], None]) -> Iterator[Check]:
     """Channel, bit rate, node, heartbeat: the four questions behind 'no SDO response'."""
     from drivers.canopen.survey import ask, listen, survey
 
     try:
         bus = open_can(link)
     except LinkError as error:
-        yield Finding("problem", f"channel: {error}")
+        yield Check("problem", f"channel: {error}")
         return
     wanted = link.integer("node", 1, 127)
     try:
-        yield Finding("ok", "channel: the adapter opens")
+        yield Check("ok", "channel: the adapter opens")
         tell("listening")
         traffic = listen(bus, _LISTEN)
         tell("asking every node")
@@ -209,7 +209,7 @@ def _of_canopen(link: Link, tell: Callable[[str], None]) -> Iterator[Finding]:
                 with contextlib.suppress(NoAnswer, AccessDenied):
                     nodes.append(ask(bus, wanted, LinkDefaults().service_timeout, Patience().boot))
         except LinkError as error:
-            yield Finding(
+            yield Check(
                 "problem",
                 f"bit rate: {error}; nobody acknowledges: is the bit rate right, the bus terminated (60 Ω "
                 "between CAN_H and CAN_L), the drive on?",
@@ -218,43 +218,41 @@ def _of_canopen(link: Link, tell: Callable[[str], None]) -> Iterator[Finding]:
     finally:
         bus.shutdown()
     if traffic.errors:
-        yield Finding(
+        yield Check(
             "problem",
             f"bit rate: {traffic.errors} error frames within {_LISTEN:g} s: {traffic.trouble}",
         )
     elif traffic.frames or nodes:
-        yield Finding(
-            "ok", f"bit rate: {traffic.frames} frames heard within {_LISTEN:g} s, none bad"
-        )
+        yield Check("ok", f"bit rate: {traffic.frames} frames heard within {_LISTEN:g} s, none bad")
     else:
-        yield Finding(
+        yield Check(
             "problem",
             "bit rate: nothing is heard and nobody answers: drive on? cable in? bit rate as set in the "
             "drive? another channel of the adapter?",
         )
     numbers = [node.number for node in nodes if node.identity is not None]
     if wanted is not None and wanted in numbers:
-        yield Finding("ok", f"node: {wanted} answers")
+        yield Check("ok", f"node: {wanted} answers")
     elif wanted is not None:
         there = f"nodes {', '.join(map(str, numbers))} do" if numbers else "no other does"
-        yield Finding("problem", f"node: {wanted} does not answer to SDO; {there}")
+        yield Check("problem", f"node: {wanted} does not answer to SDO; {there}")
     else:
-        yield Finding("ok" if numbers else "problem", f"node: {len(numbers)} answer: {numbers}")
+        yield Check("ok" if numbers else "problem", f"node: {len(numbers)} answer: {numbers}")
     beating = traffic.heartbeats | {n.number for n in nodes if n.identity is None}
     if wanted in beating and wanted not in numbers:
-        yield Finding(
+        yield Check(
             "warning",
             f"heartbeat: node {wanted} beats, but answers no SDO: stopped, or busy starting",
         )
     elif beating:
-        yield Finding("ok", f"heartbeat: of {sorted(beating)}")
+        yield Check("ok", f"heartbeat: of {sorted(beating)}")
     else:
-        yield Finding(
+        yield Check(
             "note", "heartbeat: none is heard (many drives are delivered with it switched off)"
         )
 
 
-def _of_modbus(link: Link, tell: Callable[[str], None]) -> Iterator[Finding]:
+def _of_modbus(link: Link, tell: Callable[[str], None]) -> Iterator[Check]:
     from drivers.modbus.client import Client
     from drivers.modbus.survey import EVERYBODY, is_there, survey
     from drivers.modbus.wires import RtuLine
@@ -265,18 +263,18 @@ def _of_modbus(link: Link, tell: Callable[[str], None]) -> Iterator[Finding]:
     try:
         client = Client(wire, number, 1.0)
     except TwoRelayError as error:
-        yield Finding("problem", f"connection: {error}")
+        yield Check("problem", f"connection: {error}")
         return
     try:
-        yield Finding("ok", f"connection: {wire} opens")
+        yield Check("ok", f"connection: {wire} opens")
         if isinstance(wire, RtuLine) and (timer := latency_timer(wire.port) or 0) > _SLOW_LATENCY:
-            yield Finding(
+            yield Check(
                 "warning", f"latency timer of {wire.port} is {timer} ms: every answer is that late"
             )
         if is_there(client, _ANSWER):
-            yield Finding("ok", f"unit: {number} answers")
+            yield Check("ok", f"unit: {number} answers")
             return
-        yield Finding("problem", f"unit: {number} does not answer within {_ANSWER:g} s")
+        yield Check("problem", f"unit: {number} does not answer within {_ANSWER:g} s")
         tell("asking units 1 to 10")
         others = [
             u.number
@@ -286,10 +284,10 @@ def _of_modbus(link: Link, tell: Callable[[str], None]) -> Iterator[Finding]:
     finally:
         client.close()
     if others:
-        yield Finding("note", f"unit: these answer: {others}")
+        yield Check("note", f"unit: these answer: {others}")
         return
     if not isinstance(wire, RtuLine):
-        yield Finding(
+        yield Check(
             "problem", "unit: none of 1 to 10 answers; is it a Modbus port, and Modbus switched on?"
         )
         return
@@ -303,11 +301,11 @@ def _of_modbus(link: Link, tell: Callable[[str], None]) -> Iterator[Finding]:
         try:
             if is_there(client, _ANSWER):
                 setting = f"baudrate={baudrate}&parity={parity}&stopbits={stopbits}"
-                yield Finding("note", f"line: unit {number} answers with {setting}")
+                yield Check("note", f"line: unit {number} answers with {setting}")
                 return
         finally:
             client.close()
-    yield Finding(
+    yield Check(
         "problem",
         "line: no usual setting gets an answer: A and B swapped? termination? RS-485 and not RS-232? "
         "drive on, and its own port enabled?",

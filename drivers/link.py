@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Link",
+    "Trace",
     "axis_of",
     "check_files_of_others",
     "check_virtual",

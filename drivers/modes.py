@@ -6,7 +6,7 @@ import contextlib
 from typing import Never
 
 from drivers import cia402
-from drivers.access import Access
+from drivers.access import RawAccess
 from drivers.described import Described, Parameters
 from drivers.errors import NoAnswer, PreflightRefused, WriteDenied
 from profiles.procedures import Mode, ModeCode
@@ -17,7 +17,7 @@ __all__ = ["Modes", "SetPoint"]
 class Modes:
     """The modes of one drive."""
 
-    def __init__(self, access: Access) -> None:
+    def __init__(self, access: RawAccess) -> None:
         self._access = access
         self._profile = access.profile
 
@@ -89,7 +89,9 @@ class SetPoint:
     lowest, highest : raw
     """
 
-    def __init__(self, mode: Mode, code: ModeCode, parameters: Parameters, access: Access) -> None:
+    def __init__(
+        self, mode: Mode, code: ModeCode, parameters: Parameters, access: RawAccess
+    ) -> None:
         out = access.profile.cycle.out
         if code.set_point not in out:
             raise PreflightRefused(

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from drivers import cia402
-from drivers.access import Access
+from drivers.access import RawAccess
 from drivers.bases import interpolation_period
 from drivers.bus import GUARDS, SET
 from drivers.described import Parameters
 from drivers.errors import AccessDenied, PreflightRefused
 from drivers.modes import Modes, SetPoint
-from profiles.parameter import Access as Way
-from profiles.parameter import Protection
+from profiles.parameter import Access, Protection
 from profiles.procedures import Mode
 
 __all__ = ["Preparation"]
@@ -26,7 +25,7 @@ class Preparation:
 
     dispensable = frozenset({"interpolation_time", "interpolation_exponent", "quick_stop_option"})
 
-    def __init__(self, access: Access, modes: Modes, parameters: Parameters) -> None:
+    def __init__(self, access: RawAccess, modes: Modes, parameters: Parameters) -> None:
         self._access = access
         self._profile = access.profile
         self._modes = modes
@@ -142,7 +141,7 @@ class Preparation:
             parameter = self._access.parameter(step.write)
             kept = parameter.protection in (Protection.EXPERIMENT, Protection.COMMAND)
             # a controlword is a command of the moment, and no setting
-            if kept and parameter.access is not Way.WRITE_ONLY and power is not None:
+            if kept and parameter.access is not Access.WRITE_ONLY and power is not None:
                 found[step.write] = (*found.get(step.write, ()), step.raw)
         return found
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from math import inf, nan
 
 from drivers import error_codes
-from drivers.access import POLL, Access
+from drivers.access import POLL, RawAccess
 from drivers.bases import read_bases
 from drivers.bus import SET, Bus, StopFrames
 from drivers.counter import Counter
@@ -25,8 +25,7 @@ from drivers.stopping import Rest, StopPath
 from drivers.writing import why_not_written
 from profiles.axis import Axis
 from profiles.identity import NOBODY, Identity
-from profiles.parameter import Access as Way
-from profiles.parameter import Protection
+from profiles.parameter import Access, Protection
 from profiles.procedures import Mode
 from profiles.schema import Profile
 
@@ -64,7 +63,7 @@ class ProfiledDrive:
         self.own_estimates: Mapping[str, str] = dict(profile.own_estimates.items())
 
         self._bus = bus
-        self._access = access = Access(bus, profile)
+        self._access = access = RawAccess(bus, profile)
         self._power = power_of(bus, profile, lambda: self.state().text)
         self._rest_raw = 0
         self._energised = False
@@ -157,7 +156,7 @@ class ProfiledDrive:
         try:
             self._access.write(what.name, raw)
         except NoAnswer:
-            if what.parameter.access is Way.WRITE_ONLY:
+            if what.parameter.access is Access.WRITE_ONLY:
                 raise
             if self._access.read(what.name) == raw:
                 return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from drivers.access import Access
+from drivers.access import RawAccess
 from drivers.bus import SET, Exchange
 from drivers.errors import PreflightRefused
 from drivers.modes import Modes
@@ -16,7 +16,7 @@ __all__ = ["Rehearsal"]
 class Rehearsal:
     """Exchanges that measure a link; nothing is set, nothing moves."""
 
-    def __init__(self, access: Access, modes: Modes, is_energised: Callable[[], bool]) -> None:
+    def __init__(self, access: RawAccess, modes: Modes, is_energised: Callable[[], bool]) -> None:
         self._access = access
         self._modes = modes
         self._is_energised = is_energised

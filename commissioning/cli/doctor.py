@@ -14,7 +14,7 @@ from commissioning.cli.output import document, json_text
 from commissioning.cli.terminal import Screen
 
 if TYPE_CHECKING:
-    from drivers.doctor import Finding
+    from drivers.doctor import Check
 
 __all__ = ["command"]
 
@@ -45,7 +45,7 @@ def command(link: str | None, as_json: bool) -> None:
         sys.exit(4)
 
 
-def _of_link(link: str, screen: Screen) -> Iterator[Finding]:
+def _of_link(link: str, screen: Screen) -> Iterator[Check]:
     """What is found on a link that nobody else uses; raises Refused."""
     from commissioning.ownership import owned
     from drivers.doctor import of_link

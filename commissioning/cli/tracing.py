@@ -5,16 +5,16 @@ from __future__ import annotations
 import contextlib
 import struct
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from commissioning.cli.output import say
+from drivers.link import Trace
 from profiles.errors import UsageError
 
 __all__ = ["tracer"]
 
-Trace = Callable[..., None]
 
 _PCAP_HEADER = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 101)  # raw IP
 _CLIENT, _SERVER = (b"\x7f\x00\x00\x01", 49152), (b"\x7f\x00\x00\x02", 502)

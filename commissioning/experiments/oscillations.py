@@ -60,7 +60,7 @@ class Oscillations:
 
 def oscillations(
     context: Context,
-    plan: RelayDesign,
+    design: RelayDesign,
     known: FirstLook,
     relay_periods: int,
     stretches: tuple[Stretch, ...],
@@ -77,21 +77,21 @@ def oscillations(
     knob : hysteresis to begin with, where an earlier record knows it, rad or m
     period : of the oscillator, s; None: the relay's
     """
-    context.tell(f"relay at ±{plan.d1:.4g} {context.effort_unit}: finds a period")
-    goal = plan.half_swing_1 * min(known.coulomb / plan.d1, 0.8)
-    sample = yield plan.bias
+    context.tell(f"relay at ±{design.d1:.4g} {context.effort_unit}: finds a period")
+    goal = design.half_swing_1 * min(known.coulomb / design.d1, 0.8)
+    sample = yield design.bias
     centre = sample.position  # where the approach came to rest: that is near enough to the start
-    relay = Relay(plan.d1, knob or _FIRST_KNOB * goal, centre, context.cycle, plan.bias)
+    relay = Relay(design.d1, knob or _FIRST_KNOB * goal, centre, context.cycle, design.bias)
     begin = sample.time
     sample, cycle, span = yield from _find_period(
-        context, relay, plan, known, sample, relay_periods, staged=knob is None
+        context, relay, design, known, sample, relay_periods, staged=knob is None
     )
     half = max(round((period or cycle.period) / (2 * context.cycle)), 4)
     held: list[Held] = []
-    before = plan.d1
+    before = design.d1
     gain = cycle.half_swing / (4 / np.pi * cycle.relay_amplitude)
     for stretch in stretches:
-        amplitude = (plan.d1, plan.d2)[stretch.amplitude - 1]
+        amplitude = (design.d1, design.d2)[stretch.amplitude - 1]
         amplitude = min(amplitude, context.torque - abs(relay.bias) - context.torque_resolution)
         context.tell(
             f"oscillator at ±{amplitude:.4g} {context.effort_unit}, period "
@@ -100,7 +100,7 @@ def oscillations(
         most = context.torque - abs(relay.bias) - context.torque_resolution
         oscillator = Oscillator(
             amplitude, 2 * half * context.cycle, centre, relay.bias,
-            gain=gain, cycle=context.cycle, most=min(plan.most, most), wave=wave,
+            gain=gain, cycle=context.cycle, most=min(design.most, most), wave=wave,
             lead=_lead(before, amplitude, known.coulomb),
         )  # fmt: skip
         before = amplitude
@@ -127,7 +127,7 @@ def _lead(before: float, after: float, coulomb: float) -> float:
 def _find_period(
     context: Context,
     relay: Relay,
-    plan: RelayDesign,
+    design: RelayDesign,
     known: FirstLook,
     sample: Sample,
     count: int,
@@ -141,7 +141,7 @@ def _find_period(
     time: list[float] = []
     position: list[float] = []
     command: list[float] = []
-    longest = 4 * plan.period + 0.5
+    longest = 4 * design.period + 0.5
     starts: list[int] = []
     since = sample.time
     while True:
@@ -158,7 +158,7 @@ def _find_period(
                     break
                 if 1 < len(starts) <= count - 1 or (staged and len(starts) == 2):
                     _adjust(
-                        context, relay, plan, known,
+                        context, relay, design, known,
                         *(np.array(x[starts[-2] :]) for x in (time, position, command)),
                         staged=staged,
                     )  # fmt: skip
@@ -192,7 +192,7 @@ def _quarter(time: list[float], starts: list[int]) -> int:
 def _adjust(
     context: Context,
     relay: Relay,
-    plan: RelayDesign,
+    design: RelayDesign,
     known: FirstLook,
     time: np.ndarray,
     position: np.ndarray,
@@ -207,15 +207,15 @@ def _adjust(
     direction = float(np.sum(np.where(rising, 1.0, -1.0) * np.diff(time))) / period
     # DC balance: mean(u) = offset + f·mean(sign v)
     offset = float(np.mean(command[1:])) - known.coulomb * direction
-    limit = context.torque - max(plan.d1, plan.d2) - context.torque_resolution
+    limit = context.torque - max(design.d1, design.d2) - context.torque_resolution
     moved = _TRUST * (offset - relay.bias)
     if abs(moved) > 0.01 * relay.amplitude:
         relay.bias = max(-limit, min(limit, relay.bias + moved))
     if staged:
-        room = min(plan.half_swing / swing, (plan.period / period) ** 2)
+        room = min(design.half_swing / swing, (design.period / period) ** 2)
         if room > 1.1 or room < 0.9:
             relay.knob *= min(_GROWTH, room)
             context.detail(
-                f"staging: period {period * 1000:.3g} of {plan.period * 1000:.3g} ms, half-swing "
-                f"{swing:.3g} of at most {plan.half_swing:.3g} {context.position_unit}"
+                f"staging: period {period * 1000:.3g} of {design.period * 1000:.3g} ms, half-swing "
+                f"{swing:.3g} of at most {design.half_swing:.3g} {context.position_unit}"
             )

@@ -104,18 +104,18 @@ class _Columns:
         return self._periods
 
 
-def stage(test: RelayTest, plan: RelayDesign) -> Plan[None]:
+def stage(test: RelayTest, design: RelayDesign) -> Plan[None]:
     """Smallest oscillation first; the hysteresis grows until period or half-swing is reached."""
     context, relay = test.context, test.relay
     while True:
         periods = yield from test.run(lambda p: len(p) >= 2, MOST_PERIODS, test.longest)
         period, swing = float(periods.period[-1]), float(periods.half_swing[-1])
         context.detail(
-            f"staging: period {period * 1000:.3g} of {plan.period * 1000:.3g} ms, half-swing "
-            f"{swing:.3g} of at most {plan.half_swing:.3g} {context.position_unit}"
+            f"staging: period {period * 1000:.3g} of {design.period * 1000:.3g} ms, half-swing "
+            f"{swing:.3g} of at most {design.half_swing:.3g} {context.position_unit}"
         )
         # on a rigid axis T ~ knob^power, and A ~ T²
-        room = min(plan.half_swing / swing, (plan.period / period) ** 2) ** (0.5 / relay.power)
+        room = min(design.half_swing / swing, (design.period / period) ** 2) ** (0.5 / relay.power)
         if room <= 1.1:
             return
         relay.knob *= min(_GROWTH, room)

@@ -54,7 +54,7 @@ class TwoRelay:
 
 def two_relay(
     context: Context,
-    plan: RelayDesign,
+    design: RelayDesign,
     known: FirstLook,
     *,
     solver: Solver = "bracket",
@@ -65,27 +65,27 @@ def two_relay(
     `solver`: how the second test finds the period of the first, by a bracketing secant or by the rules
     of the thesis, (4.21) and (4.25).
     """
-    friction = min(known.coulomb, 0.9 * plan.d1)
-    knob = plan.hysteresis
+    friction = min(known.coulomb, 0.9 * design.d1)
+    knob = design.hysteresis
     if switching == "delay":
         knob = max(
-            _delay_for(0.5 * plan.period, friction / plan.d1) - known.dead_time, context.cycle
+            _delay_for(0.5 * design.period, friction / design.d1) - known.dead_time, context.cycle
         )
-    relay = Relay(plan.d1, knob, context.start, context.cycle, plan.bias, switching=switching)
-    test = RelayTest(context, relay, longest=4 * plan.period + 0.5)
-    yield from stage(test, plan)
+    relay = Relay(design.d1, knob, context.start, context.cycle, design.bias, switching=switching)
+    test = RelayTest(context, relay, longest=4 * design.period + 0.5)
+    yield from stage(test, design)
     first, first_span = yield from balanced(test, known)
     context.tell(
         f"relay test 1: period {first.period * 1000:.4g} ms, half-swing "
         f"{first.half_swing:.4g} {context.position_unit}"
     )
-    relay.amplitude = min(plan.d2, context.torque - abs(relay.bias) - context.torque_resolution)
+    relay.amplitude = min(design.d2, context.torque - abs(relay.bias) - context.torque_resolution)
     # from below the larger swing cannot overshoot the travel
     if switching == "delay":
-        ratio = _delay_for(1.0, friction / relay.amplitude) / _delay_for(1.0, friction / plan.d1)
+        ratio = _delay_for(1.0, friction / relay.amplitude) / _delay_for(1.0, friction / design.d1)
     else:
         # exact without viscous friction and delay; delay lowers it
-        ratio = (1 - (friction / relay.amplitude) ** 2) / (1 - (friction / plan.d1) ** 2)
+        ratio = (1 - (friction / relay.amplitude) ** 2) / (1 - (friction / design.d1) ** 2)
     test_1_knob = relay.knob
     relay.knob *= _FROM_BELOW * ratio
     match = _match_by_rule if solver == "thesis" else _match_by_bracket

@@ -17,7 +17,7 @@ from commissioning.identification.reasons import Reason, Weight
 from commissioning.identification.record import Record, reversals
 
 __all__ = [
-    "Units",
+    "UnitNames",
     "agreement",
     "dwell_share",
     "is_unsigned",
@@ -46,7 +46,7 @@ _AGREE = 0.03  # of f
 
 
 @dataclass(frozen=True, slots=True)
-class Units:
+class UnitNames:
     """Names of the units for messages."""
 
     position: str = "rad"
@@ -65,7 +65,7 @@ def within_short(found: ModulatingEstimate) -> bool:
     )
 
 
-def of_modulating(found: ModulatingEstimate, units: Units) -> list[Reason]:
+def of_modulating(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
     """Reasons that the fit itself gives."""
     reasons: list[Reason] = []
     e, p = units.effort, units.position
@@ -187,7 +187,7 @@ def of_modulating(found: ModulatingEstimate, units: Units) -> list[Reason]:
     return reasons
 
 
-def of_lock_in(found: LockIn, resolution: float, units: Units) -> list[Reason]:
+def of_lock_in(found: LockIn, resolution: float, units: UnitNames) -> list[Reason]:
     """Reasons that the exact balance gives."""
     reasons = []
     f = found.coulomb.value
@@ -223,7 +223,7 @@ def of_lock_in(found: LockIn, resolution: float, units: Units) -> list[Reason]:
     return reasons
 
 
-def agreement(fast: ModulatingEstimate, exact: LockIn, units: Units) -> Reason:
+def agreement(fast: ModulatingEstimate, exact: LockIn, units: UnitNames) -> Reason:
     """Modulating functions against the exact balance."""
     a, b = fast.coulomb, exact.coulomb
     apart = abs(a.value - b.value)

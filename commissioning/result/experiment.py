@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from commissioning.result.kinds import Count, Finite, Pair, Positive, Text
 
-__all__ = ["Bases", "Cycle", "Experiment", "FirstLook", "Limits", "Setup"]
+__all__ = ["Allowed", "Bases", "Cycle", "Experiment", "FirstLook", "Setup"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Cycle:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class Allowed:
     """What the run was allowed: ± about its start, rad or m; N.m or N; rad/s or m/s."""
 
     travel: Positive
@@ -107,7 +107,7 @@ class Experiment:
     late_share: Finite
     lost_share: Finite
     travel: Finite
-    limits: Limits | None = None
+    limits: Allowed | None = None
     cycles: tuple[Cycle, ...] = ()
     complex_coulomb: Pair | None = None
     tests: Count = 0

@@ -10,7 +10,7 @@ from commissioning.result.kinds import Count, Finite, Pair, Text
 
 __all__ = [
     "BalanceReading",
-    "Law",
+    "LawReading",
     "MethodName",
     "Methods",
     "ModulatingReading",
@@ -97,7 +97,7 @@ class BalanceReading:
 
 
 @dataclass(frozen=True, slots=True)
-class Law:
+class LawReading:
     """The friction law that the record asks for."""
 
     terms: tuple[Text, ...]
@@ -116,7 +116,7 @@ class ModulatingReading:
     viscous: Finite
     inertia: Finite
     dead_time: Finite
-    law: Law
+    law: LawReading
     residual: Finite | None = None
     held_out: Finite | None = None
     rigid_residual: Finite | None = None

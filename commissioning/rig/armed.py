@@ -19,7 +19,7 @@ from commissioning.guardian import Guardian, guarded
 from commissioning.identification.reasons import Reason, Weight
 from commissioning.result.document import Quality, RunResult
 from commissioning.result.endings import AxisState
-from commissioning.result.experiment import Limits
+from commissioning.result.experiment import Allowed
 from commissioning.rig import preflight
 from commissioning.rig.preflight import check_watchdog, choose_limits, look, writes
 from commissioning.rig.results import Rejected, experiment
@@ -138,7 +138,7 @@ def _begun(
         with desk.interruption.deferred():
             result = replace(draft.result, notes=draft.result.notes + notes)
             if result.experiment is None:
-                allowed = Limits(limits.travel, limits.torque, limits.speed)
+                allowed = Allowed(limits.travel, limits.torque, limits.speed)
                 watched = experiment(recorder, drive.cycle, 0, allowed)
                 result = replace(result, experiment=watched)
             history = desk.journal.history(run_id)

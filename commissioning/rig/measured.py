@@ -19,10 +19,10 @@ from commissioning.identification.two_relay import FrictionEstimate
 from commissioning.result.readings import MethodName
 from commissioning.rig.ready import Ready
 
-__all__ = ["Friction", "Measured", "Oscillation", "Wished"]
+__all__ = ["Estimates", "Measured", "Oscillation", "Wished"]
 
 
-class Friction(Protocol):
+class Estimates(Protocol):
     """What every method gives, N.m or N."""
 
     @property
@@ -88,7 +88,7 @@ class Measured:
     record: Record
     periods: int
     tests: int = 1
-    by: dict[MethodName, Friction] = field(default_factory=dict)
+    by: dict[MethodName, Estimates] = field(default_factory=dict)
     corrected: CriticalPoint | None = None
     second: CriticalPoint | None = None
     points: dict[str, Wished] = field(default_factory=dict)
@@ -100,7 +100,7 @@ class Measured:
         return next(name for name in MethodName if name in self.by)
 
     @property
-    def found(self) -> Friction:
+    def found(self) -> Estimates:
         """Result of that method."""
         return self.by[self.method]
 

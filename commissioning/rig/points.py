@@ -129,14 +129,14 @@ def _measured(
 def _wanted(point: CriticalPoint, measured: Measured) -> tuple[Wanted | None, float | None, str]:
     """The oscillation, the travel that it takes, and why it cannot be had."""
     ready, period = measured.ready, point.period
-    context, plan = ready.context, ready.design
+    context, design = ready.context, ready.design
     p = context.position_unit
-    f = min(measured.found.coulomb.value, 0.9 * plan.d1)
-    switching = f / plan.d1 + max(sin(radians(180 + point.phase_deg)), 0.0)
+    f = min(measured.found.coulomb.value, 0.9 * design.d1)
+    switching = f / design.d1 + max(sin(radians(180 + point.phase_deg)), 0.0)
     bias = measured.relay.bias
-    most = min(plan.most, context.torque - abs(bias) - context.torque_resolution)
+    most = min(design.most, context.torque - abs(bias) - context.torque_resolution)
     needs: list[tuple[float, Wanted, float]] = []
-    for d in (min(plan.d2, most), min(plan.d1, most)):
+    for d in (min(design.d2, most), min(design.d1, most)):
         half_swing = point.gain * 4 / pi * (d * d - f * f) / d
         peak = 8 * half_swing / period
         travel = travel_needed(ready.stopping, half_swing, min(switching, 1.0), peak, most)

@@ -14,7 +14,7 @@ from commissioning.identification.two_relay import FrictionEstimate
 from commissioning.result.found import QUANTITIES
 from commissioning.result.readings import (
     BalanceReading,
-    Law,
+    LawReading,
     ModulatingReading,
     Speed,
     SteadyReading,
@@ -78,7 +78,7 @@ def modulating_reading(found: ModulatingEstimate) -> ModulatingReading:
     return ModulatingReading(
         found.coulomb.value, found.offset.value, found.viscous.value, found.inertia.value,
         found.dead_time.value,
-        Law(
+        LawReading(
             ("coulomb", "viscous", *law.rungs), law.stribeck, law.soft, law.position,
             tuple(found.coefficients.tolist()),
         ),

@@ -14,7 +14,7 @@ from commissioning.experiments.plan import Context, Plan
 from commissioning.experiments.stopping import Stopping
 from commissioning.identification.modulating import ModulatingEstimate
 from commissioning.identification.record import Record, unfiltered
-from commissioning.identification.verdict import Units
+from commissioning.identification.verdict import UnitNames
 from commissioning.rig.mover import Mover
 from drivers.errors import PreflightRefused
 from drivers.sample import Sample
@@ -45,7 +45,7 @@ class Ready:
     mover: Mover
     options: Options
     context: Context
-    units: Units
+    units: UnitNames
     envelope: Envelope
     known: FirstLook
     stopping: Stopping
@@ -59,7 +59,7 @@ class Ready:
         mover: Mover,
         options: Options,
         context: Context,
-        units: Units,
+        units: UnitNames,
         envelope: Envelope,
         known: FirstLook,
         stopping: Stopping,

@@ -15,7 +15,7 @@ from commissioning.identification.modulating import ModulatingEstimate
 from commissioning.identification.reasons import Reason, Weight, verdict, weightiest_first
 from commissioning.identification.steady import SteadyFit
 from commissioning.result.document import Quality, RunResult
-from commissioning.result.experiment import Cycle, Experiment, Limits
+from commissioning.result.experiment import Allowed, Cycle, Experiment
 from commissioning.result.found import (
     QUANTITIES,
     CriticalPoints,
@@ -172,7 +172,7 @@ def cycles(shown: Sequence[Oscillation], begin: float) -> tuple[Cycle, ...]:
     )
 
 
-def experiment(recorder: Recorder, cycle: float, periods: int, limits: Limits) -> Experiment:
+def experiment(recorder: Recorder, cycle: float, periods: int, limits: Allowed) -> Experiment:
     """How long and how regularly the axis was watched, by what was recorded."""
     samples = recorder.samples
     if not samples:

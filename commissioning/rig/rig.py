@@ -14,8 +14,8 @@ from commissioning.experiments.stopping import Stopping, run_up
 from commissioning.experiments.tracking import TrackingPath, TrackingSamples, track
 from commissioning.guardian import Guardian
 from commissioning.identification.record import Record
-from commissioning.identification.verdict import Units
-from commissioning.result.experiment import Limits as Allowed
+from commissioning.identification.verdict import UnitNames
+from commissioning.result.experiment import Allowed
 from commissioning.rig.mover import Mover
 from commissioning.rig.preflight import POSITION, TORQUE, Limits, cautious_speed, still_moving
 from commissioning.rig.ready import Ready, record_of
@@ -53,7 +53,7 @@ class Rig:
     mover: Mover
     context: Context
     envelope: Envelope
-    units: Units
+    units: UnitNames
     loop_lag: float
 
     @classmethod
@@ -101,7 +101,7 @@ class Rig:
             drive, desk, settings, guardian, limits, recorder,
             without_watchdog=options.without_watchdog,
         )  # fmt: skip
-        units = Units(axis.position_unit, axis.effort_unit)
+        units = UnitNames(axis.position_unit, axis.effort_unit)
         lag = drive.read(loops.lag).si if loops and loops.lag else 0.0
         return cls(
             axis, options, desk, drive, limits, settings, mover, context, envelope, units, lag

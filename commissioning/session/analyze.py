@@ -166,7 +166,7 @@ def _motion(
     record, reasons = _record(recording)
     units, watched = result.units, result.experiment
     assert watched is not None
-    named = verdict.Units(units.position, units.effort)
+    named = verdict.UnitNames(units.position, units.effort)
     kinematics = refined_kinematics(record)
     oscillations = steady_oscillations(record, kinematics)
     two = pair(oscillations)

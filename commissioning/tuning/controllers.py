@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from commissioning.tuning.rules import Cascade, Pid
 
-__all__ = ["Gains", "Law", "law", "response"]
+__all__ = ["ControlLaw", "Gains", "law", "response"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Gains = Pid | Cascade
-Law = Callable[[float, float], float]  # reference, position → torque
+ControlLaw = Callable[[float, float], float]  # reference, position → torque
 
 _FILTER = 10.0  # derivative times over the time constant of the derivative's filter
 
@@ -43,7 +43,9 @@ def response(gains: Gains, cycle: float, frequency: Array) -> Complex:
     return np.asarray(gains.gain * (integral + lead), np.complex128)
 
 
-def law(gains: Gains, cycle: float, limit: float, position: float, holding: float = 0.0) -> Law:
+def law(
+    gains: Gains, cycle: float, limit: float, position: float, holding: float = 0.0
+) -> ControlLaw:
     """The controller as a function that is called once a cycle, at rest at `position`.
 
     An integral part begins with the torque `holding`, N.m or N, that holds the axis there. The torque

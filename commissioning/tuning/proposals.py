@@ -29,7 +29,7 @@ from commissioning.tuning.rules import (
     ziegler_nichols_pi,
     ziegler_nichols_pid,
 )
-from commissioning.tuning.step import Friction, Step, step
+from commissioning.tuning.step import Friction, Response, step
 
 __all__ = [
     "FEWEST_CYCLES",
@@ -119,7 +119,7 @@ class Proposal:
     point: CriticalPoint | None
     gains: Gains | None
     margins: Margins | None
-    step: Step | None
+    step: Response | None
     why_not: WhyNot | None
 
     @property
@@ -315,7 +315,7 @@ def _one(rule: str, source: Source, points: _Points, hold: Hold) -> Proposal:
     return Proposal(rule, points.loop, source, point, gains, worth, moved, why_not)
 
 
-def _why_not(worth: Margins, moved: Step | None, known: AxisKnown) -> WhyNot | None:
+def _why_not(worth: Margins, moved: Response | None, known: AxisKnown) -> WhyNot | None:
     """Why a set is not proposed."""
     goal = known.travel * _STEP_SHARE
     checks = (

@@ -16,7 +16,7 @@ from commissioning.tuning.controllers import Gains, law
 from commissioning.tuning.plant import LoopPlant
 from drivers.virtual.plant import Plant, PlantParameters
 
-__all__ = ["Friction", "Step", "step"]
+__all__ = ["Friction", "Response", "step"]
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class Friction:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class Response:
     """What the axis does after a step of the reference.
 
     Attributes
@@ -70,7 +70,9 @@ class Step:
     position: Array
 
 
-def step(plant: LoopPlant, gains: Gains, friction: Friction, size: float, crossover: float) -> Step:
+def step(
+    plant: LoopPlant, gains: Gains, friction: Friction, size: float, crossover: float
+) -> Response:
     """Follow a step of `size` (rad or m) for some periods of `crossover` (rad/s)."""
     axis = Plant(
         PlantParameters(
@@ -109,7 +111,7 @@ def step(plant: LoopPlant, gains: Gains, friction: Friction, size: float, crosso
     return _told(positions, size, cycle, resolution)
 
 
-def _told(positions: Array, size: float, cycle: float, resolution: float) -> Step:
+def _told(positions: Array, size: float, cycle: float, resolution: float) -> Response:
     time = np.asarray(np.arange(len(positions)) * cycle, np.float64)
     tail = positions[-max(int(_TAIL * len(positions)), 2) :]
     swing = float(np.ptp(tail)) / 2
@@ -117,7 +119,7 @@ def _told(positions: Array, size: float, cycle: float, resolution: float) -> Ste
     outside = np.flatnonzero(np.abs(positions - size) > band)
     last = int(outside[-1]) + 1 if len(outside) else 0
     stride = max(len(positions) // _SHOWN, 1)
-    return Step(
+    return Response(
         size,
         max(float(positions.max()) / size - 1, 0.0),
         float(time[last]) if last < len(positions) - len(tail) // 2 else None,

@@ -297,7 +297,7 @@ class CanopenBus:
             too_much: ProfileError | None = None
             if self._is_wider(pdo):
                 try:
-                    pdo.plan(self._widths)
+                    pdo.lay_out(self._widths)
                     self._pdos.map(pdo, pdo.wanted(there))
                 except ProfileError as error:
                     too_much = error

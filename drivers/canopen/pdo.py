@@ -65,9 +65,9 @@ class Pdo:
         self.cob_id = 0
         self.entries: list[int] = []
         self.size = 0
-        self.plan({})
+        self.lay_out({})
 
-    def plan(self, widths: Mapping[CanopenAddress, int]) -> None:
+    def lay_out(self, widths: Mapping[CanopenAddress, int]) -> None:
         """What it carries, in the profile's order; `widths`: bytes of objects, where the drive has others.
 
         Raises ProfileError where that is too much.

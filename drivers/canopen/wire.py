@@ -53,7 +53,7 @@ _POST_ANSWER = 0.05  # s that the answer to a posted download may take
 _FRAMES = (b"t", b"T", b"r", b"R", b"x")  # lines of slcan that are frames; x: CANDapter's T
 _LONGEST_LINE = 4096  # bytes without an end: no adapter of this kind
 
-Trace = Callable[[bool, int, bytes | None], None]  # sending, COB-ID, data; None: a remote frame
+CanTrace = Callable[[bool, int, bytes | None], None]  # sending, COB-ID, data; None: a remote frame
 
 
 def open_bus(interface: str, channel: str, bitrate: int, timeout: float) -> can.BusABC:
@@ -249,7 +249,7 @@ class CanWire:
         bus: can.BusABC,
         node: int,
         timeout: float,
-        trace: Trace | None = None,
+        trace: CanTrace | None = None,
         *,
         awaits_sync: bool = False,
     ) -> None:

@@ -50,7 +50,7 @@ _EXCEPTIONS = {
 _ACKNOWLEDGE, _NO_TARGET = 5, 11
 _BUSY = _ACKNOWLEDGE, 6, 10, _NO_TARGET  # of a drive, and of a gateway that cannot reach it for now
 
-Trace = Callable[[bool, bytes], None]
+BytesTrace = Callable[[bool, bytes], None]
 Packet = Callable[[bool, bytes], bytes]
 Came = Callable[[bytes], bytes]
 
@@ -105,7 +105,7 @@ class Client:
         wire: Wire,
         unit: int,
         timeout: float,
-        trace: Trace | None = None,
+        trace: BytesTrace | None = None,
         longest_answer: float = LinkDefaults().longest_answer,
     ) -> None:
         self._wire = wire

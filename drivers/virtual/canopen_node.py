@@ -18,7 +18,7 @@ from drivers.virtual.firmware import (
     ERROR_HEARTBEAT,
     ERROR_PDO_TIMEOUT,
     Denied,
-    Reason,
+    Trip,
 )
 from drivers.virtual.mirror import Entry, Mirror
 from drivers.virtual.own_eds import own_eds
@@ -67,10 +67,10 @@ class Abort(Exception):
 
 
 _DENIALS = {
-    Reason.NO_OBJECT: _ABORT_NO_OBJECT,
-    Reason.READ_ONLY: _ABORT_READ_ONLY,
-    Reason.RANGE: _ABORT_RANGE,
-    Reason.STATE: _ABORT_STATE,
+    Trip.NO_OBJECT: _ABORT_NO_OBJECT,
+    Trip.READ_ONLY: _ABORT_READ_ONLY,
+    Trip.RANGE: _ABORT_RANGE,
+    Trip.STATE: _ABORT_STATE,
 }
 
 

@@ -29,9 +29,9 @@ class VirtualMailbox:
     """Words by register; `entries` are the parameters by number and sub-index."""
 
     def __init__(
-        self, plan: Mailbox, entries: Mapping[tuple[int, int], Entry], objects: Objects
+        self, box: Mailbox, entries: Mapping[tuple[int, int], Entry], objects: Objects
     ) -> None:
-        self._plan = plan
+        self._box = box
         self._entries = entries
         self._objects = objects
         self._words: dict[int, int] = {}
@@ -39,9 +39,9 @@ class VirtualMailbox:
     @property
     def registers(self) -> frozenset[int]:
         """Those that the mailbox is made of."""
-        plan = self._plan
-        single = (plan.pnu, plan.sub, plan.elements, plan.request, plan.length)
-        return frozenset((*single, *range(plan.data, plan.data + 4)))
+        box = self._box
+        single = (box.pnu, box.sub, box.elements, box.request, box.length)
+        return frozenset((*single, *range(box.data, box.data + 4)))
 
     def read(self, register: int) -> int:
         """Word of one register."""
@@ -50,28 +50,28 @@ class VirtualMailbox:
     def write(self, register: int, word: int) -> None:
         """A word into one register; the request is executed at once."""
         self._words[register] = word
-        plan = self._plan
-        if register != plan.request:
+        box = self._box
+        if register != box.request:
             return
-        entry = self._entries.get((self.read(plan.pnu), self.read(plan.sub)))
+        entry = self._entries.get((self.read(box.pnu), self.read(box.sub)))
         try:
             done = entry is not None and self._execute(entry, word)
         except (Denied, struct.error):
             done = False
-        self._words[plan.request] = plan.done_code if done else _FAILED
+        self._words[box.request] = box.done_code if done else _FAILED
 
     def _execute(self, entry: Entry, code: int) -> bool:
-        plan = self._plan
+        box = self._box
         layout = struct.Struct("<" + entry.code)
-        if code == plan.read_code and entry.access != "wo":
+        if code == box.read_code and entry.access != "wo":
             value = self._objects.value(entry)
             packed = layout.pack(value if entry.code == "f" else int(value))
-            self._words[plan.length] = layout.size
+            self._words[box.length] = layout.size
             for n, (word,) in enumerate(struct.iter_unpack("<H", packed + bytes(layout.size % 2))):
-                self._words[plan.data + n] = word
+                self._words[box.data + n] = word
             return True
-        if code != plan.write_code or entry.access == "ro" or self.read(plan.length) != layout.size:
+        if code != box.write_code or entry.access == "ro" or self.read(box.length) != layout.size:
             return False
-        words = [self.read(plan.data + n) for n in range(4)]
+        words = [self.read(box.data + n) for n in range(4)]
         self._objects.set(entry, layout.unpack_from(struct.pack("<4H", *words))[0])
         return True

@@ -34,11 +34,11 @@ def test_in_the_profile_s_order() -> None:
 
 def test_as_wide_as_the_drive_has_it() -> None:
     pdo = Pdo(0x1400, 255, 0x205, [CONTROL, TORQUE])
-    pdo.plan({TORQUE: 4})
+    pdo.lay_out({TORQUE: 4})
     assert pdo.entries == [0x60400010, 0x60710020]
     assert pdo.pack((0x0F, -250)).hex(" ") == "0f 00 06 ff ff ff"
     with pytest.raises(ProfileError, match=r"10 bytes as the drive has them .*6071h:4"):
-        rpdo().plan({TORQUE: 4})
+        rpdo().lay_out({TORQUE: 4})
 
 
 def test_as_the_drive_has_mapped_it() -> None:

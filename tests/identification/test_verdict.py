@@ -9,7 +9,7 @@ from commissioning.identification.modulating import ModulatingEstimate, estimate
 from commissioning.identification.reasons import Reason, Weight, verdict
 from commissioning.identification.record import Record, rests
 from commissioning.identification.verdict import (
-    Units,
+    UnitNames,
     dwell_share,
     is_unsigned,
     of_modulating,
@@ -30,7 +30,7 @@ def judged(record: Record) -> tuple[ModulatingEstimate, list[Reason]]:
     dwell = dwell_share(record, found.inertia.value, found.coulomb.value)
     swing = float(np.ptp(record.position)) / 4
     return found, [
-        *of_modulating(found, Units()),
+        *of_modulating(found, UnitNames()),
         *of_torque(None, dwell, swing, record.resolution),
     ]
 

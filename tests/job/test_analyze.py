@@ -63,7 +63,7 @@ def test_a_proposal_for_a_drive_that_is_not_there_keeps_the_analysis(
     result = json.loads(target.read_text())
     jsonschema.validate(result, SCHEMA)
     assert result["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.01)
-    assert (result["status"], result["error"]["code"]) == ("failed", "link")
+    assert (result["status"], result["error"]["code"]) == ("failed", "link.connect")
     assert result["ending"] == {
         "axis": "not moved", "settings": None, "drive": None, "said_by": "the link",
     }  # fmt: skip

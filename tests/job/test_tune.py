@@ -53,7 +53,7 @@ def test_a_target_is_measured_with_its_points_and_then_tuned(tuned: dict[str, An
             assert item["ms"] <= 2.5
         else:
             assert item["why_not"]
-    assert host["ziegler-nichols-pi"]["why_not"] == "unstable"
+    assert host["ziegler-nichols-pi"]["why_not_code"] == "gains.unstable"
     assert sum(item["best"] for item in tuned["tuning"]) == 2
 
 
@@ -152,7 +152,10 @@ def test_gains_outside_the_drive_s_range_are_said_and_not_proposed(
     assert done.returncode == 0, done.stderr
     found = sets_of(json.loads(done.stdout), "drive", "corrected")["cascade"]
     assert not found["proposed"]
-    assert found["why_not"].startswith("out of range: 'position_gain': ")
+    assert (found["why_not_code"], found["why_not"][:15]) == (
+        "gains.out-of-range",
+        "'position_gain'",
+    )
     assert "is outside 0…1 1/s" in found["why_not"]
 
 
@@ -325,7 +328,8 @@ def test_gains_are_judged_as_the_drive_holds_them(tworelay: Tworelay, tmp_path: 
     done = tworelay("tune", "virtual://bench", "--profile", str(profile), "--yes", "--json", "-")
     found = sets_of(json.loads(done.stdout), "drive", "corrected")["cascade"]
     assert not found["proposed"]
-    assert found["why_not"].startswith("too fine: 'integral_time' would be 0.0098")
+    assert found["why_not_code"] == "gains.too-fine"
+    assert found["why_not"].startswith("'integral_time' would be 0.0098")
     assert found["parameters"] == []
 
 

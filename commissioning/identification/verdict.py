@@ -68,12 +68,12 @@ def within_short(found: ModulatingEstimate) -> bool:
 def of_modulating(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
     """Reasons that the fit itself gives."""
     reasons: list[Reason] = []
-    e, p = units.effort, units.position
+    e = units.effort
 
     def add(code: str, weight: Weight, text: str) -> None:
         reasons.append(Reason(code, weight, text))
 
-    f, law = found.coulomb, found.law
+    f = found.coulomb
     left = found.held_out
     if not f.value > 0 or not found.inertia.value > 0:
         add(
@@ -150,12 +150,23 @@ def of_modulating(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
             f"the position is coarse for this swing: its resolution alone hides "
             f"{100 * found.noise:.0f} % of the torque; a longer period or more travel helps",
         )
+    return reasons + _of_law(found, units)
+
+
+def _of_law(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
+    """What the friction law that was needed says."""
+    reasons: list[Reason] = []
+    e, p, law = units.effort, units.position, found.law
+
+    def add(code: str, weight: Weight, text: str) -> None:
+        reasons.append(Reason(code, weight, text))
+
     if law.stribeck is not None:
         add(
             "law.stribeck",
             Weight.NOTE,
             f"Stribeck effect: friction falls from about {found.low_speed:.3g} {e} at rest to "
-            f"{f.value:.3g} {e} beyond {law.stribeck:.3g} {p}/s"
+            f"{found.coulomb.value:.3g} {e} beyond {law.stribeck:.3g} {p}/s"
             + (
                 "; below that speed the tests were too fast to say more"
                 if found.peak_speed > 15 * law.stribeck

@@ -133,7 +133,22 @@ def _count(drive: Drive) -> float:
 
 
 def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
-    """Travel, torque and speed of this run: the user's, else the axis', else the drive's."""
+    """Travel, torque and speed of this run: the user's, else the axis', else the drive's.
+
+    Raises UsageError, PreflightRefused, LinkError.
+    """
+    travel = _travel(drive, axis, options)
+    rated = drive.scaling.rated_torque * axis.mechanics.effort_per_torque
+    torque = _torque(drive, axis, options, rated)
+    speed = _speed(drive, axis, options)
+    drive.preparation.check_set_points(Mode.TORQUE, torque)
+    start = drive.read(POSITION).si
+    duration = options.duration or axis.limits.duration
+    return Limits(start, travel, torque, speed, rated, duration)
+
+
+def _travel(drive: Drive, axis: Axis, options: Options) -> float:
+    """Room on either side, rad or m."""
     travel = options.travel or axis.travel
     if travel is None:
         raise UsageError(
@@ -151,18 +166,20 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
             limit=_FEWEST_COUNTS * count,
             unit=axis.position_unit,
         )
-    mechanics = axis.mechanics
-    rated = drive.scaling.rated_torque * mechanics.effort_per_torque
-    own = drive.limits
-    by_torque, by_current, by_speed = own.get("torque"), own.get("current"), own.get("speed")
+    return travel
+
+
+def _torque(drive: Drive, axis: Axis, options: Options, rated: float) -> float:
+    """Largest torque, N.m or N."""
+    by_torque, by_current = drive.limits.get("torque"), drive.limits.get("current")
+    e, asked = axis.effort_unit, options.max_torque or axis.limits.torque
     most = drive.read(by_torque).si if by_torque else rated
-    asked = options.max_torque or axis.limits.torque
     if most <= 0:
         if asked is None:
             raise PreflightRefused(
-                f"the drive's own torque limit ('{by_torque}') reads {most:g} {axis.effort_unit}, "
-                f"which is no limit, or no torque: set it in the drive, or give --max-torque in "
-                f"{axis.effort_unit}, which is set for the experiment",
+                f"the drive's own torque limit ('{by_torque}') reads {most:g} {e}, which is no limit, or "
+                f"no torque: set it in the drive, or give --max-torque in {e}, which is set for the "
+                "experiment",
                 code="preflight.torque-limit",
             )
         most = asked
@@ -170,6 +187,20 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
     if by_current and 0 < (current := drive.read(by_current).si) < most:
         most, by = current, drive.parameters[by_current].address
     torque = asked or min(rated, most)
+    if torque > most * (1 + 1e-9):
+        raise PreflightRefused(
+            f"max torque of {torque:.4g} {e} is above the drive's own limit of {most:.4g} {e} ({by})",
+            code="preflight.torque",
+            value=torque,
+            limit=most,
+            unit=e,
+        )
+    return torque
+
+
+def _speed(drive: Drive, axis: Axis, options: Options) -> float:
+    """Largest speed, rad/s or m/s."""
+    by_speed = drive.limits.get("speed")
     fastest = drive.read(by_speed).si if by_speed else None
     speed = options.max_speed or axis.limits.speed or fastest
     if not speed:
@@ -181,24 +212,7 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
         raise UsageError(
             f"how fast may the axis move? {has}: give --max-speed in {axis.position_unit}/s"
         )
-    if torque > most * (1 + 1e-9):
-        raise PreflightRefused(
-            f"max torque of {torque:.4g} {axis.effort_unit} is above the drive's own limit of "
-            f"{most:.4g} {axis.effort_unit} ({by})",
-            code="preflight.torque",
-            value=torque,
-            limit=most,
-            unit=axis.effort_unit,
-        )
-    drive.preparation.check_set_points(Mode.TORQUE, torque)
-    return Limits(
-        drive.read("position_actual").si,
-        travel,
-        torque,
-        min(speed, fastest) if fastest else speed,
-        rated,
-        options.duration or axis.limits.duration,
-    )
+    return min(speed, fastest) if fastest else speed
 
 
 def writes(drive: Drive, limits: Limits) -> dict[str, int]:

@@ -16,6 +16,15 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from commissioning.errors import JournalError
+from commissioning.journal_file import (
+    SCHEMA_VERSION,
+    UNWRITABLE,
+    VIEWS,
+    open_to_read,
+    open_to_write,
+    prepare,
+    unwritable,
+)
 from commissioning.records import (
     END_OF_TIME,
     RESTORED,
@@ -36,46 +45,12 @@ from commissioning.records import (
     intent_of,
     run_of,
 )
-from commissioning.sqlite_reading import read_only
 from drivers.places import same_place
 from profiles.errors import Refused, UnknownName, UsageError
 
 __all__ = ["RESTORED", "STORED", "STORING", "Intent", "Journal", "Kind", "RunRecord"]
 
-_TRIES, _PAUSE = 200, 0.05  # s: until another process has opened the file
-_SCHEMA_VERSION = 1
-_UNWRITABLE = {  # primary result codes of SQLite: of permissions, of others, and of the disk
-    sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_NOMEM,
-    sqlite3.SQLITE_READONLY, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL, sqlite3.SQLITE_CANTOPEN,
-}  # fmt: skip
 _RUNS_A_SECOND = 1000  # of one axis, at most
-_SCHEMA = """
-CREATE TABLE IF NOT EXISTS runs (
-    id TEXT PRIMARY KEY, created REAL NOT NULL, axis TEXT NOT NULL, link TEXT NOT NULL,
-    profile TEXT NOT NULL, profile_hash TEXT NOT NULL, serial TEXT NOT NULL,
-    status TEXT NOT NULL, context TEXT NOT NULL
-);
-CREATE TABLE IF NOT EXISTS intents (
-    seq INTEGER PRIMARY KEY AUTOINCREMENT, run TEXT NOT NULL REFERENCES runs(id),
-    kind TEXT NOT NULL, parameter TEXT NOT NULL, old INTEGER NOT NULL, new INTEGER NOT NULL,
-    state TEXT NOT NULL, at REAL NOT NULL
-);
-CREATE TABLE IF NOT EXISTS events (
-    seq INTEGER PRIMARY KEY AUTOINCREMENT, run TEXT NOT NULL REFERENCES runs(id),
-    at REAL NOT NULL, text TEXT NOT NULL
-);
-CREATE TABLE IF NOT EXISTS adopted (run TEXT PRIMARY KEY REFERENCES runs(id), at REAL NOT NULL);
-CREATE INDEX IF NOT EXISTS intents_of_run ON intents(run);
-"""
-_TABLE = re.compile(r"CREATE TABLE IF NOT EXISTS (\w+)")
-# this connection's own: the runs of this computer, in their order; an adopted one was measured elsewhere
-_VIEWS = """
-CREATE TEMP VIEW own AS
-    SELECT rowid AS number, * FROM runs WHERE id NOT IN (SELECT run FROM adopted);
-CREATE TEMP VIEW of_drive AS
-    SELECT rowid AS number, *, CASE WHEN serial IN ('', '0x00000000') THEN link ELSE '' END AS nameless
-    FROM runs;
-"""
 
 
 class Journal:
@@ -90,64 +65,31 @@ class Journal:
         path = folder / "journal.sqlite"
         try:
             if reading:
-                self._db = self._read_only(path)
+                self._db = open_to_read(path, self._clean_up)
             else:
-                folder.mkdir(parents=True, exist_ok=True)
-                self._db = sqlite3.connect(path, timeout=10, isolation_level=None)
+                self._db = open_to_write(path)
         except (OSError, sqlite3.Error) as error:
             self._clean_up.close()
             what = f"the journal in {folder} cannot be read ({error})"
-            raise JournalError(what if reading else _unwritable(folder, error)) from None
+            raise JournalError(what if reading else unwritable(folder, error)) from None
         self._clean_up.callback(self._db.close)
         with ExitStack() as undone, self._errors():
             undone.push(self._clean_up.pop_all())
             self._db.row_factory = sqlite3.Row
             version = self._db.execute("PRAGMA user_version").fetchone()[0]
-            if version > _SCHEMA_VERSION:
+            if version > SCHEMA_VERSION:
                 raise JournalError(
                     f"{path} was written by a newer tworelay (schema {version}); update tworelay"
                 )
             if not reading:
-                self._prepare()
-            self._db.executescript(_VIEWS)
+                prepare(self._db)
+            self._db.executescript(VIEWS)
             self._clean_up = undone.pop_all()
 
     @classmethod
     def empty(cls) -> Journal:
         """One without runs, that is nowhere."""
         return cls(Path(os.devnull) / "nowhere", reading=True)
-
-    def _read_only(self, path: Path) -> sqlite3.Connection:
-        """The journal as it is, or an empty one; raises OSError, sqlite3.Error."""
-        db = read_only(path, self._clean_up) if path.exists() else sqlite3.connect(":memory:")
-        there = {row[0] for row in db.execute("SELECT name FROM sqlite_master")}
-        for statement in _SCHEMA.split(";"):  # of an older version, or none
-            name = _TABLE.search(statement)
-            if name is not None and name[1] not in there:
-                db.execute(statement.replace("CREATE TABLE", "CREATE TEMP TABLE"))
-        return db
-
-    def _prepare(self) -> None:
-        self._write_ahead()
-        self._db.execute("PRAGMA synchronous=FULL")
-        self._db.execute("PRAGMA foreign_keys=ON")
-        self._db.executescript(_SCHEMA)
-        self._db.execute(f"PRAGMA user_version={_SCHEMA_VERSION}")
-        self._db.execute("BEGIN IMMEDIATE")  # a journal that cannot be written shows now
-        self._db.execute("ROLLBACK")
-
-    def _write_ahead(self) -> None:
-        """WAL; the switch does not wait for another process that opens the file at this moment."""
-        if self._db.execute("PRAGMA journal_mode").fetchone()[0] == "wal":
-            return
-        for left in reversed(range(_TRIES)):
-            try:
-                self._db.execute("PRAGMA journal_mode=WAL")
-                return
-            except sqlite3.OperationalError:
-                if not left:
-                    raise
-                time.sleep(_PAUSE)
 
     def close(self) -> None:
         """Close the file."""
@@ -168,9 +110,9 @@ class Journal:
                 if self._db.in_transaction:
                     self._db.execute("ROLLBACK")
             code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-            if isinstance(error, sqlite3.DatabaseError) and code not in _UNWRITABLE:
+            if isinstance(error, sqlite3.DatabaseError) and code not in UNWRITABLE:
                 raise self._damaged(error) from None
-            raise JournalError(_unwritable(self.folder, error)) from None
+            raise JournalError(unwritable(self.folder, error)) from None
         except UnicodeEncodeError:
             raise UsageError("a name that is no valid text cannot be looked up") from None
 
@@ -499,10 +441,3 @@ def _slug(name: str) -> str:
     plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
     slug = re.sub(r"[^A-Za-z0-9._-]+", "-", plain)[:_LONGEST_SLUG].strip("._-")
     return slug or "axis"
-
-
-def _unwritable(folder: Path, error: Exception) -> str:
-    return (
-        f"the journal in {folder} cannot be written ({error}); nothing is done without it. Free "
-        "the disk or its permissions, or set TWORELAY_HOME to another folder"
-    )

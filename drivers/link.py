@@ -347,7 +347,7 @@ def stored_eds(text: str) -> bytes:
 
 def open_can(link: Link, profile: Profile | None = None) -> Any:
     """The CAN adapter that a LINK names, as python-can has it; raises UsageError, LinkError."""
-    from drivers.canopen.wire import open_bus
+    from drivers.canopen.adapters import open_bus
 
     bitrate = link.integer("bitrate", 10_000, 1_000_000)
     if bitrate is None:

@@ -8,28 +8,23 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import select
-import socket
 import struct
 import sys
 import time
 from collections.abc import Callable, Generator
 from typing import Any
 
-import can
-from can.interfaces.slcan import slcanBus
-from can.interfaces.socketcand import SocketCanDaemonBus
 from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.canopen import bus_state
+from drivers.canopen.adapters import BusABC, CanError, Message, Slcan, Socketcand, first_line
 from drivers.errors import AccessDenied, LinkError, LinkLost, NoAnswer, WriteDenied
 from drivers.patience import patiently
 from drivers.serial_port import SerialPort, Stream
-from profiles.errors import UsageError
 
-__all__ = ["CanWire", "NoAnswer", "open_bus"]
+__all__ = ["CanWire", "NoAnswer"]
 
 for _name in ("can", "canopen"):
     logging.getLogger(_name).setLevel(logging.CRITICAL)
@@ -50,155 +45,14 @@ _NO_OBJECT = b"\0\0\0"  # some drives abort so
 _SEGMENT, _LARGEST_OBJECT = 7, 5_000_000  # bytes; the largest object is an EDS (1021h)
 _POST_ANSWER = 0.05  # s that the answer to a posted download may take
 
-_FRAMES = (b"t", b"T", b"r", b"R", b"x")  # lines of slcan that are frames; x: CANDapter's T
-_LONGEST_LINE = 4096  # bytes without an end: no adapter of this kind
 
 CanTrace = Callable[[bool, int, bytes | None], None]  # sending, COB-ID, data; None: a remote frame
 
 
-def open_bus(interface: str, channel: str, bitrate: int, timeout: float) -> can.BusABC:
-    """Open a CAN adapter by python-can's names; raises LinkError, UsageError."""
-    options: dict[str, Any] = {"bitrate": bitrate}
-    if interface == "slcan":
-        options["sleep_after_open"] = 0
-        options["timeout"] = 0.001 if sys.platform == "win32" else 0
-    elif interface == "socketcand":
-        host, port, channel = _socketcand_address(channel)
-        _greet(host, port, timeout)
-        options = {"host": host, "port": port, "tcp_tune": True}
-    elif interface in ("virtual", "socketcan"):
-        options = {}
-    try:
-        if interface == "socketcand":
-            bus: can.BusABC = _Socketcand(channel=channel, **options)  # type: ignore[no-untyped-call]
-        elif interface == "slcan":
-            bus = _Slcan(channel=channel, **options)
-        else:
-            bus = can.Bus(interface=interface, channel=channel, **options)
-    except can.CanInterfaceNotImplementedError as error:
-        if interface not in can.VALID_INTERFACES:
-            known = ", ".join(sorted(can.VALID_INTERFACES))
-            raise UsageError(f"no CAN interface '{interface}'; python-can has: {known}") from None
-        raise LinkError(
-            f"CAN interface '{interface}' cannot be used here: {_first_line(error)}; is its "
-            "driver installed?",
-            code="link.adapter",
-        ) from None
-    except Exception as error:
-        raise LinkError(
-            f"cannot open CAN channel '{channel}' on '{interface}': {_first_line(error)}; is the adapter "
-            "plugged in, and free?",
-            code="link.adapter",
-        ) from None
-    if interface == "socketcand":
-        _untangle_socketcand(bus)
-    return bus
-
-
-class _Socketcand(SocketCanDaemonBus):
-    """python-can's client, which takes a frame that comes with the greeting of a busy bus for an error.
-
-    Here such a frame is delivered, with the next one.
-    """
-
-    def _expect_msg(self, message: str) -> None:
-        stream: socket.socket = self._SocketCanDaemonBus__socket  # type: ignore[attr-defined]
-        heard = ""
-        while len(heard) < len(message):
-            more = stream.recv(256).decode("ascii", "replace")
-            if not more:
-                break
-            heard += more
-        if not heard.startswith(message):
-            stream.close()
-            raise can.CanError(f"it says '{heard[:40]}' where '{message}' is expected")
-        self._SocketCanDaemonBus__receive_buffer: str = heard[len(message) :]
-
-
-class _Slcan(slcanBus):
-    """python-can's client, which asks the system for every byte: here for all that has come.
-
-    The adapter's acknowledgements are passed over; a line that cannot be read is lost alone.
-    """
-
-    is_dead = False  # at the last read nothing was there
-
-    def await_data(self, timeout: float) -> bool:
-        """Wait until something can be read, at most `timeout` s."""
-        return b"\r" in self._buffer or bool(select.select([self.fileno()], [], [], timeout)[0])
-
-    def _read(self, timeout: float | None) -> str | None:
-        port, deadline = self.serialPortOrig, time.perf_counter() + (timeout or 0.0)
-        self.is_dead, is_late = True, False
-        while True:
-            while (end := self._buffer.find(b"\r")) >= 0:
-                line = self._buffer[:end].lstrip(b"\a")
-                del self._buffer[: end + 1]
-                self.is_dead = False
-                if line[:1] in _FRAMES:
-                    return line.decode("ascii")
-            if is_late:
-                return None
-            try:
-                data = port.read(max(port.in_waiting, 1))
-            except (OSError, TypeError) as error:  # TypeError: closed meanwhile
-                raise can.CanOperationError(
-                    f"cannot read from the serial device: {error}"
-                ) from error
-            self.is_dead = self.is_dead and not data
-            self._buffer += data
-            if len(self._buffer) > _LONGEST_LINE and b"\r" not in data:
-                self._buffer.clear()
-            is_late = time.perf_counter() >= deadline
-
-
-def _untangle_socketcand(bus: can.BusABC) -> None:
-    """Bound the time that a send to a full socket may block."""
-    stream = getattr(bus, "_SocketCanDaemonBus__socket", None)
-    if isinstance(stream, socket.socket):
-        stream.settimeout(1.0)
-
-
-def _socketcand_address(channel: str) -> tuple[str, int, str]:
-    place, slash, name = channel.partition("/")
-    host, colon, port = place.rpartition(":")
-    if not slash or not colon or not port.isdigit() or not name:
-        raise UsageError(
-            f"'{channel}': a socketcand link is canopen://socketcand/HOST:PORT/CHANNEL?node=N"
-        )
-    return host, int(port), name
-
-
-def _greet(host: str, port: int, timeout: float) -> None:
-    """See that a socketcand server answers, quickly: the library would wait for 10 s or for ever."""
-    try:
-        with socket.create_connection((host, port), timeout) as stream:
-            stream.settimeout(timeout)
-            hello = stream.recv(64)
-    except TimeoutError:
-        raise LinkError(
-            f"{host}:{port} does not greet as socketcand within {timeout:g} s: is it that port?",
-            code="link.socketcand",
-        ) from None
-    except OSError as error:
-        raise LinkError(
-            f"cannot connect to socketcand at {host}:{port}: {error.strerror or error}",
-            code="link.connect",
-        ) from None
-    if not hello.startswith(b"< hi"):
-        raise LinkError(
-            f"{host}:{port} is no socketcand server: it says {hello[:20]!r}", code="link.socketcand"
-        )
-
-
-def _first_line(error: Exception) -> str:
-    """Libraries put tracebacks into their messages; people get the first line, and the system's reason."""
-    lines = str(error).splitlines()
-    if not lines:
-        return type(error).__name__
-    line = lines[0].removesuffix("Traceback (most recent call last):").strip()
-    reason = getattr(error.__cause__, "strerror", None) or str(error.__cause__ or "").strip()
-    return f"{line} ({reason})" if reason and reason not in line else line
+def _expedited(index: int, sub: int, data: bytes) -> bytes:
+    """An expedited download with its size (CiA 301, 7.2.4.3.3)."""
+    command = 0x23 | (4 - len(data)) << 2
+    return struct.pack("<BHB", command, index, sub) + data.ljust(4, b"\0")
 
 
 def _is_whole(data: bytes) -> bool:
@@ -213,12 +67,6 @@ def _is_whole(data: bytes) -> bool:
     if command & 0xEF == 0x20:  # segment taken
         return len(data) >= 1
     return False
-
-
-def _expedited(index: int, sub: int, data: bytes) -> bytes:
-    """An expedited download with its size (CiA 301, 7.2.4.3.3)."""
-    command = 0x23 | (4 - len(data)) << 2
-    return struct.pack("<BHB", command, index, sub) + data.ljust(4, b"\0")
 
 
 class CanWire:
@@ -246,7 +94,7 @@ class CanWire:
 
     def __init__(
         self,
-        bus: can.BusABC,
+        bus: BusABC,
         node: int,
         timeout: float,
         trace: CanTrace | None = None,
@@ -276,15 +124,15 @@ class CanWire:
         self._posted = 0
         self.refused_posts: list[tuple[int, int]] = []
         # waiting on a descriptor beats the library's polling
-        self._serial: _Slcan | None = None
-        if sys.platform != "win32" and isinstance(bus, _Slcan):
+        self._serial: Slcan | None = None
+        if sys.platform != "win32" and isinstance(bus, Slcan):
             self._serial = bus
         self.descriptor = None if self._serial is None else int(self._serial.fileno())
         self._sdo = _PumpedSdo(self, node, timeout)
 
     def port(self) -> SerialPort | None:
         """The port of a serial adapter, as it is set; None for other adapters."""
-        if not isinstance(self._bus, _Slcan):
+        if not isinstance(self._bus, Slcan):
             return None
         port = self._bus.serialPortOrig
         return SerialPort(
@@ -298,7 +146,7 @@ class CanWire:
 
     def speak_through(self, stream: Stream | None) -> None:
         """Give the serial port back and speak through `stream` from now on; the channel stays open."""
-        assert isinstance(self._bus, _Slcan)
+        assert isinstance(self._bus, Slcan)
         self._bus.serialPortOrig.close()
         if stream is not None:
             self._bus.serialPortOrig = stream  # type: ignore[assignment]
@@ -307,28 +155,28 @@ class CanWire:
 
     def send(self, cob_id: int, data: bytes) -> None:
         """Send one frame; raises LinkLost."""
-        self._transmit(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
+        self._transmit(Message(arbitration_id=cob_id, data=data, is_extended_id=False))
         if self._trace is not None:
             self._trace(True, cob_id, data)
 
-    def _transmit(self, message: can.Message) -> None:
+    def _transmit(self, message: Message) -> None:
         try:
             self._bus.send(message, timeout=0.1)
-        except (can.CanError, OSError, ValueError) as error:
-            reason = self.bus_trouble or _first_line(error)
+        except (CanError, OSError, ValueError) as error:
+            reason = self.bus_trouble or first_line(error)
             raise LinkLost(f"cannot send on the CAN bus: {reason}", code="link.send") from None
 
     @property
     def can_guard(self) -> bool:
         """Whether the adapter sends remote frames; the socketcand protocol has none."""
-        return not isinstance(self._bus, SocketCanDaemonBus)
+        return not isinstance(self._bus, Socketcand)
 
     def guard(self) -> None:
         """Ask the node for its state by a remote frame, as a master that guards it; raises LinkLost."""
         cob_id = HEARTBEAT + self.node
         self.guarded_at = self.guarded_at or time.perf_counter()
         self._transmit(
-            can.Message(arbitration_id=cob_id, is_remote_frame=True, dlc=1, is_extended_id=False)
+            Message(arbitration_id=cob_id, is_remote_frame=True, dlc=1, is_extended_id=False)
         )
         if self._trace is not None:
             self._trace(True, cob_id, None)
@@ -349,9 +197,9 @@ class CanWire:
         except (ValueError, IndexError):
             self.garbled += 1
             return True
-        except (can.CanError, OSError) as error:
+        except (CanError, OSError) as error:
             raise LinkLost(
-                f"the CAN adapter failed: {_first_line(error)}", code="link.adapter-failed"
+                f"the CAN adapter failed: {first_line(error)}", code="link.adapter-failed"
             ) from None
         if message is None:
             return False
@@ -541,7 +389,7 @@ class CanWire:
         """Let go of the adapter."""
         if not self._closed:
             self._closed = True
-            with contextlib.suppress(can.CanError, OSError, ValueError):
+            with contextlib.suppress(CanError, OSError, ValueError):
                 self._bus.shutdown()
 
 

@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 import contextlib
-import logging
-import select
-import socket
-import ssl
 import struct
 import sys
 from collections.abc import Callable, Generator
 from time import perf_counter
-from typing import Any, NamedTuple, Protocol
-
-from pymodbus import FramerType
-from pymodbus.client import ModbusSerialClient, ModbusTcpClient
-from pymodbus.exceptions import ConnectionException, ModbusException
-from pymodbus.pdu import ModbusPDU
-from pymodbus.pdu.register_message import (
-    MaskWriteRegisterRequest,
-    WriteMultipleRegistersRequest,
-    WriteSingleRegisterRequest,
-)
+from typing import Any, NamedTuple
 
 from drivers.errors import AccessDenied, LinkError, LinkLost, NoAnswer
 from drivers.modbus.incoming import Incoming, LineIncoming, MbapIncoming
+from drivers.modbus.transports import (
+    NEVER_DISCONNECT,
+    ConnectionException,
+    MaskWriteRegisterRequest,
+    ModbusException,
+    ModbusPDU,
+    SerialClient,
+    TcpClient,
+    WriteMultipleRegistersRequest,
+    WriteSingleRegisterRequest,
+    connected,
+)
 from drivers.modbus.wires import RtuLine, TcpWire, Wire
 from drivers.pace import Silence
 from drivers.serial_port import SerialPort, Stream
@@ -32,7 +30,6 @@ from profiles.procedures import LinkDefaults
 
 __all__ = ["POST_ANSWER", "Client", "ExceptionAnswer", "NoAnswer"]
 
-logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
 
 # Modbus Application Protocol V1.1b3, section 7
 _EXCEPTIONS = {
@@ -51,16 +48,12 @@ _ACKNOWLEDGE, _NO_TARGET = 5, 11
 _BUSY = _ACKNOWLEDGE, 6, 10, _NO_TARGET  # of a drive, and of a gateway that cannot reach it for now
 
 BytesTrace = Callable[[bool, bytes], None]
-Packet = Callable[[bool, bytes], bytes]
-Came = Callable[[bytes], bytes]
 
 POST_ANSWER = 0.01  # s that a posted write may hold up the next one
-_CHUNK = 4096
 _QUIET = 0.001  # s before a request outside the cycle
 _TIMES = 1.5  # the longest answer: a watchdog whose three missed cycles outlast it
 _SHORT = 0.1  # s: a cycle's patience, and no service's
 _NO_TIME = 5e-4  # s
-_NEVER_DISCONNECT = 1_000_000  # the receive deadline is ours to judge, not the library's
 
 
 class Kind(NamedTuple):
@@ -120,11 +113,11 @@ class Client:
         self._owed = 0  # answers that have not come
         self._owed_until = 0.0
         self._late = b""  # of them
-        self._client: _TcpClient | _SerialClient
+        self._client: TcpClient | SerialClient
         if isinstance(wire, RtuLine):
-            self._client = _SerialClient(wire, timeout, self._sent, self._came)
+            self._client = SerialClient(wire, timeout, self._sent, self._came)
         else:
-            self._client = _connected(wire, timeout, self._sent, self._came)
+            self._client = connected(wire, timeout, self._sent, self._came)
 
     def turn_to(self, unit: int) -> None:
         """Talk to another unit on the same connection from now on."""
@@ -177,7 +170,7 @@ class Client:
         patience = self._timeout if timeout is None else timeout
         if self._is_line:
             self._settle(kind, 0.0 if at_once else patience, in_cycle=in_cycle)
-        client.transaction.count_until_disconnect = _NEVER_DISCONNECT
+        client.transaction.count_until_disconnect = NEVER_DISCONNECT
         client.comm_params.timeout_connect = patience
         client.transaction.comm_params.timeout_connect = patience
         if self._silence is not None:
@@ -488,135 +481,6 @@ class Client:
     def close(self) -> None:
         """Close the connection."""
         self._drop()
-
-
-class _TcpClient(ModbusTcpClient):
-    """The library's client, which is given answers by `came` and not bytes.
-
-    Attributes
-    ----------
-    until : when an answer is given up, s of the performance counter
-    """
-
-    until = 0.0
-    came: Came
-
-    def raw(self, seconds: float) -> bytes:
-        """What comes within some time, as soon as anything does; raises ConnectionException, OSError."""
-        stream = self.socket
-        if stream is None:
-            raise ConnectionException(str(self))
-        stream.setblocking(False)
-        pending = getattr(stream, "pending", None)  # of TLS: decrypted, and not yet read
-        if (
-            not (pending and pending())
-            and not select.select([stream], [], [], max(seconds, 0.0))[0]
-        ):
-            return b""
-        try:
-            data: bytes = stream.recv(_CHUNK)
-        except (BlockingIOError, ssl.SSLWantReadError):
-            return b""
-        if not data:
-            self.close()  # type: ignore[no-untyped-call]
-            raise ConnectionException(str(self))
-        return data
-
-    def recv(self, size: int | None) -> bytes:
-        """The next answer, or a part of one; empty when its time has passed."""
-        return _received(self, self.came)
-
-
-class _Raw(Protocol):
-    until: float
-
-    def raw(self, seconds: float) -> bytes: ...
-
-
-def _received(client: _Raw, came: Came) -> bytes:
-    while (left := client.until - perf_counter()) > 0:
-        data = client.raw(left)
-        found = came(data) if data else b""
-        if found:
-            return found
-    return b""
-
-
-def _connected(wire: TcpWire, timeout: float, on_packet: Packet, came: Came) -> _TcpClient:
-    """A client on an open socket; raises LinkError."""
-    framer = FramerType.RTU if wire.rtu else FramerType.SOCKET
-    client = _TcpClient(
-        wire.host, port=wire.port, framer=framer, timeout=timeout, retries=0,
-        trace_packet=on_packet,
-    )  # fmt: skip
-    client.came = came
-    place = f"{wire.host}:{wire.port}"
-    try:
-        plain = socket.create_connection((wire.host, wire.port), timeout)
-    except TimeoutError:
-        raise LinkError(
-            f"{place} does not answer within {timeout:g} s; is the address right, the cable in, the "
-            "drive on?",
-            code="link.connect",
-        ) from None
-    except OSError as error:
-        raise LinkError(
-            f"cannot connect to {place}: {error.strerror or error}; is the address right, and Modbus "
-            "TCP switched on in the drive?",
-            code="link.connect",
-        ) from None
-    plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    client.socket = plain if wire.tls is None else wire.tls.wrap(plain, wire.host)
-    return client
-
-
-_WORDS = {
-    2: "there is no such port; is the adapter plugged in, and its driver there?",
-    13: "this user may not use it (on Linux: add the user to group dialout, then log in again)",
-    16: "another program has it open",
-}
-
-
-class _SerialClient(ModbusSerialClient):
-    """A client on an open serial port; raises LinkError.
-
-    It waits for bytes, where the library's own looks for them every millisecond.
-    """
-
-    until = 0.0
-
-    def __init__(self, line: RtuLine, timeout: float, on_packet: Packet, came: Came) -> None:
-        super().__init__(
-            line.port, baudrate=line.baudrate, parity=line.parity, stopbits=line.stopbits,
-            timeout=timeout, retries=0, trace_packet=on_packet,
-        )  # fmt: skip
-        self.came = came
-        try:
-            self.socket = line.opened_as(timeout).open()
-        except OSError as error:
-            number = getattr(error, "errno", None) or 0
-            text = str(error)
-            words = _WORDS.get(number, "") or (_WORDS[16] if "lock" in text else "")
-            raise LinkError(
-                f"cannot open {line.port}: {words or text}", code="link.connect"
-            ) from None
-
-    def raw(self, seconds: float) -> bytes:
-        """What comes within some time, as soon as anything does; raises ConnectionException."""
-        port = self.socket
-        if port is None:
-            raise ConnectionException(str(self))
-        try:
-            port.timeout = max(seconds, 0.0)
-            first: bytes = port.read(1)
-            return first + port.read(port.in_waiting) if first else b""
-        except OSError:
-            self.close()  # type: ignore[no-untyped-call]
-            raise ConnectionException(str(self)) from None
-
-    def recv(self, size: int | None) -> bytes:
-        """The next answer, or a part of one; empty when its time has passed."""
-        return _received(self, self.came)
 
 
 def _is_about(answer: ModbusPDU, asked: dict[str, Any]) -> bool:

@@ -13,6 +13,7 @@ from typing import Any, cast
 
 import pytest
 
+from commissioning import journal_file
 from commissioning.errors import JournalError
 from commissioning.journal import RESTORED, STORED, STORING, Journal
 from commissioning.records import Context, history_of, history_tree
@@ -234,22 +235,18 @@ class _Busy:
 
 
 def test_the_switch_to_a_write_ahead_log_waits_for_another_process(
-    journal: Journal, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     pauses: list[float] = []
-    monkeypatch.setattr("commissioning.journal.time.sleep", pauses.append)
-    database = journal._db
-    try:
-        journal._db = busy = cast("Any", _Busy(3))
-        journal._write_ahead()
-        assert (busy.asked, pauses) == (4, [0.05] * 3)
-        journal._db = busy = cast("Any", _Busy(1000))
-        pauses.clear()
-        with pytest.raises(sqlite3.OperationalError, match="locked"):
-            journal._write_ahead()
-        assert (busy.asked, len(pauses)) == (200, 199)
-    finally:
-        journal._db = database
+    monkeypatch.setattr("commissioning.journal_file.time.sleep", pauses.append)
+    busy = cast("Any", _Busy(3))
+    journal_file._write_ahead(busy)
+    assert (busy.asked, pauses) == (4, [0.05] * 3)
+    busy = cast("Any", _Busy(1000))
+    pauses.clear()
+    with pytest.raises(sqlite3.OperationalError, match="locked"):
+        journal_file._write_ahead(busy)
+    assert (busy.asked, len(pauses)) == (200, 199)
 
 
 def test_a_write_that_fails_half_way_leaves_nothing_and_the_journal_usable(

@@ -15,7 +15,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen.wire import CanWire, open_bus
+from drivers.canopen.adapters import open_bus
+from drivers.canopen.wire import CanWire
 from drivers.modbus.client import Client
 from drivers.modbus.wires import TcpWire
 from profiles.errors import TwoRelayError

@@ -12,9 +12,10 @@ from contextlib import suppress
 import can
 import pytest
 
+from drivers.canopen.adapters import open_bus
 from drivers.canopen.bus import CanopenBus, sync_period
 from drivers.canopen.bus_state import BUS_OFF, NO_ACK, PASSIVE, words
-from drivers.canopen.wire import CanWire, NoAnswer, open_bus
+from drivers.canopen.wire import CanWire, NoAnswer
 from drivers.errors import AccessDenied, LinkError, LinkLost, PreflightRefused, WriteDenied
 from drivers.pace import WallPace
 from profiles.errors import TwoRelayError, UsageError

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import can
 
-from drivers.canopen.wire import open_bus
+from drivers.canopen.adapters import open_bus
 from drivers.errors import LinkError
 from tests.raising import raises
 

@@ -1,0 +1,107 @@
+"""The journal's file: its tables, how it is opened, and why it cannot be written."""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+from commissioning.sqlite_reading import read_only
+
+__all__ = [
+    "SCHEMA_VERSION",
+    "UNWRITABLE",
+    "VIEWS",
+    "open_to_read",
+    "open_to_write",
+    "prepare",
+    "unwritable",
+]
+
+TRIES, PAUSE = 200, 0.05  # s: until another process has opened the file
+SCHEMA_VERSION = 1
+UNWRITABLE = {  # primary result codes of SQLite: of permissions, of others, and of the disk
+    sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_NOMEM,
+    sqlite3.SQLITE_READONLY, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL, sqlite3.SQLITE_CANTOPEN,
+}  # fmt: skip
+SCHEMA = """
+CREATE TABLE IF NOT EXISTS runs (
+    id TEXT PRIMARY KEY, created REAL NOT NULL, axis TEXT NOT NULL, link TEXT NOT NULL,
+    profile TEXT NOT NULL, profile_hash TEXT NOT NULL, serial TEXT NOT NULL,
+    status TEXT NOT NULL, context TEXT NOT NULL
+);
+CREATE TABLE IF NOT EXISTS intents (
+    seq INTEGER PRIMARY KEY AUTOINCREMENT, run TEXT NOT NULL REFERENCES runs(id),
+    kind TEXT NOT NULL, parameter TEXT NOT NULL, old INTEGER NOT NULL, new INTEGER NOT NULL,
+    state TEXT NOT NULL, at REAL NOT NULL
+);
+CREATE TABLE IF NOT EXISTS events (
+    seq INTEGER PRIMARY KEY AUTOINCREMENT, run TEXT NOT NULL REFERENCES runs(id),
+    at REAL NOT NULL, text TEXT NOT NULL
+);
+CREATE TABLE IF NOT EXISTS adopted (run TEXT PRIMARY KEY REFERENCES runs(id), at REAL NOT NULL);
+CREATE INDEX IF NOT EXISTS intents_of_run ON intents(run);
+"""
+TABLE = re.compile(r"CREATE TABLE IF NOT EXISTS (\w+)")
+
+
+# this connection's own: the runs of this computer, in their order; an adopted one was measured elsewhere
+VIEWS = """
+CREATE TEMP VIEW own AS
+    SELECT rowid AS number, * FROM runs WHERE id NOT IN (SELECT run FROM adopted);
+CREATE TEMP VIEW of_drive AS
+    SELECT rowid AS number, *, CASE WHEN serial IN ('', '0x00000000') THEN link ELSE '' END AS nameless
+    FROM runs;
+"""
+
+
+def unwritable(folder: Path, error: Exception) -> str:
+    """Why the journal cannot be written, and what to do."""
+    return (
+        f"the journal in {folder} cannot be written ({error}); nothing is done without it. Free "
+        "the disk or its permissions, or set TWORELAY_HOME to another folder"
+    )
+
+
+def open_to_write(path: Path) -> sqlite3.Connection:
+    """The file, made where it is not there; raises OSError, sqlite3.Error."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return sqlite3.connect(path, timeout=10, isolation_level=None)
+
+
+def open_to_read(path: Path, clean_up: ExitStack) -> sqlite3.Connection:
+    """The journal as it is, or an empty one; raises OSError, sqlite3.Error."""
+    db = read_only(path, clean_up) if path.exists() else sqlite3.connect(":memory:")
+    there = {row[0] for row in db.execute("SELECT name FROM sqlite_master")}
+    for statement in SCHEMA.split(";"):  # of an older version, or none
+        name = TABLE.search(statement)
+        if name is not None and name[1] not in there:
+            db.execute(statement.replace("CREATE TABLE", "CREATE TEMP TABLE"))
+    return db
+
+
+def prepare(db: sqlite3.Connection) -> None:
+    """Tables, and writes that are durable when they return; raises sqlite3.Error."""
+    _write_ahead(db)
+    db.execute("PRAGMA synchronous=FULL")
+    db.execute("PRAGMA foreign_keys=ON")
+    db.executescript(SCHEMA)
+    db.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
+    db.execute("BEGIN IMMEDIATE")  # a journal that cannot be written shows now
+    db.execute("ROLLBACK")
+
+
+def _write_ahead(db: sqlite3.Connection) -> None:
+    """WAL; the switch does not wait for another process that opens the file at this moment."""
+    if db.execute("PRAGMA journal_mode").fetchone()[0] == "wal":
+        return
+    for left in reversed(range(TRIES)):
+        try:
+            db.execute("PRAGMA journal_mode=WAL")
+            return
+        except sqlite3.OperationalError:
+            if not left:
+                raise
+            time.sleep(PAUSE)

@@ -7,9 +7,18 @@ import struct
 import sys
 from collections.abc import Callable, Generator
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
-from drivers.errors import AccessDenied, LinkError, LinkLost, NoAnswer
+from drivers.errors import LinkError, LinkLost, NoAnswer
+from drivers.modbus.answers import (
+    ACKNOWLEDGE,
+    EXCEPTIONS,
+    NO_TARGET,
+    ExceptionAnswer,
+    Kind,
+    is_about,
+    silence_text,
+)
 from drivers.modbus.incoming import Incoming, LineIncoming, MbapIncoming
 from drivers.modbus.transports import (
     NEVER_DISCONNECT,
@@ -28,47 +37,15 @@ from drivers.pace import Silence
 from drivers.serial_port import SerialPort, Stream
 from profiles.procedures import LinkDefaults
 
-__all__ = ["POST_ANSWER", "Client", "ExceptionAnswer", "NoAnswer"]
+__all__ = ["POST_ANSWER", "Client", "NoAnswer"]
 
-
-# Modbus Application Protocol V1.1b3, section 7
-_EXCEPTIONS = {
-    1: "illegal function",
-    2: "illegal data address",
-    3: "illegal data value",
-    4: "server device failure",
-    5: "acknowledge",
-    6: "server device busy",
-    8: "memory parity error",
-    10: "gateway path unavailable",
-    11: "gateway target device failed to respond",
-}
-
-_ACKNOWLEDGE, _NO_TARGET = 5, 11
-_BUSY = _ACKNOWLEDGE, 6, 10, _NO_TARGET  # of a drive, and of a gateway that cannot reach it for now
 
 BytesTrace = Callable[[bool, bytes], None]
 
 POST_ANSWER = 0.01  # s that a posted write may hold up the next one
 _QUIET = 0.001  # s before a request outside the cycle
 _TIMES = 1.5  # the longest answer: a watchdog whose three missed cycles outlast it
-_SHORT = 0.1  # s: a cycle's patience, and no service's
 _NO_TIME = 5e-4  # s
-
-
-class Kind(NamedTuple):
-    """What tells an answer from another one on a line: function, and registers in it (0: none)."""
-
-    function: int
-    registers: int
-
-
-class ExceptionAnswer(AccessDenied):
-    """The unit, or a gateway before it, answers with an `exception`, a code of the standard."""
-
-    def __init__(self, message: str, code: int) -> None:
-        super().__init__(message, busy=code in _BUSY)
-        self.exception = code
 
 
 class Client:
@@ -193,7 +170,7 @@ class Client:
             has_come = self._incoming.is_broken()
             if self._is_line and not has_come:
                 self._owe(kind)
-            raise NoAnswer(self._silence_text(patience)) from None
+            raise NoAnswer(silence_text(self.where, self._unit, self._incoming, patience)) from None
         except (IndexError, ValueError, KeyError, AttributeError, TypeError, struct.error) as error:
             # a malformed answer trips the library's decoder
             raise LinkError(
@@ -204,7 +181,7 @@ class Client:
             if self._silence is not None:
                 self._silence.begin()
         function = answer.function_code & 0x7F
-        if function != kind.function or not _is_about(answer, arguments):
+        if function != kind.function or not is_about(answer, arguments):
             if self._is_line:
                 raise self._of_before(kind)
             raise LinkError(
@@ -216,36 +193,10 @@ class Client:
             code = getattr(answer, "exception_code", 0)
             raise ExceptionAnswer(
                 f"{self.where} refuses function {function}: exception {code} "
-                f"({_EXCEPTIONS.get(code, 'unknown')})",
+                f"({EXCEPTIONS.get(code, 'unknown')})",
                 code,
             )
         return answer
-
-    def _silence_text(self, patience: float) -> str:
-        """What came instead of an answer."""
-        within, incoming = f"within {patience * 1000:g} ms", self._incoming
-        stranger = incoming.stranger()
-        if stranger is not None:
-            return (
-                f"{self.where} does not answer {within}, but unit {stranger} answers for unit {self._unit}: "
-                "which is the drive's number? ('tworelay scan' finds it)"
-            )
-        if not incoming.heard:
-            return f"{self.where} does not answer {within}"
-        if incoming.is_echo_alone():
-            return (
-                f"{self.where} does not answer {within}: all that comes is what was sent, from an adapter "
-                "that hears itself; is the drive on, A and B not swapped, baud rate, parity and unit right?"
-            )
-        if patience < _SHORT:
-            return (
-                f"{self.where} has not answered whole {within} ({len(incoming.heard)} bytes came): is the "
-                "link slower than that? ('tworelay latency' measures it)"
-            )
-        return (
-            f"{self.where} answers, but not to what was asked ({len(incoming.heard)} bytes {within}): is it "
-            "a Modbus port, and the unit right? ('tworelay doctor' and 'tworelay scan' look)"
-        )
 
     # -- a line, whose answers do not say what they answer ---------------------------------------------
 
@@ -364,9 +315,9 @@ class Client:
         try:
             self._ask(send, kind, timeout, at_once=at_once, in_cycle=in_cycle, **request)
         except ExceptionAnswer as error:
-            if error.exception == _ACKNOWLEDGE:
+            if error.exception == ACKNOWLEDGE:
                 return  # it is accepted, and in work
-            if error.exception == _NO_TARGET and not (at_once or in_cycle):
+            if error.exception == NO_TARGET and not (at_once or in_cycle):
                 # whether it was done nobody knows: it is looked at, and not sent again
                 raise NoAnswer(str(error)) from None
             raise
@@ -481,19 +432,3 @@ class Client:
     def close(self) -> None:
         """Close the connection."""
         self._drop()
-
-
-def _is_about(answer: ModbusPDU, asked: dict[str, Any]) -> bool:
-    """Whether the answer to a write names what was written: register, value, masks, how many."""
-    if "count" in asked or "address" not in asked or answer.isError():
-        return True
-    told: dict[str, Any] = {"address": answer.address}
-    wanted = {"address": asked["address"]}
-    if "value" in asked:
-        told["value"], wanted["value"] = list(answer.registers), [asked["value"]]
-    elif "values" in asked:
-        told["count"], wanted["count"] = answer.count, len(asked["values"])
-    else:
-        for mask in ("and_mask", "or_mask"):
-            told[mask], wanted[mask] = getattr(answer, mask), asked[mask]
-    return told == wanted

@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 from drivers.errors import AccessDenied, LinkError
+from drivers.modbus.answers import ExceptionAnswer
 from drivers.modbus.bus import identify
-from drivers.modbus.client import Client, ExceptionAnswer, NoAnswer
+from drivers.modbus.client import Client, NoAnswer
 from profiles.identity import NOBODY, Identity
 
 __all__ = ["EVERYBODY", "Unit", "is_there", "survey"]

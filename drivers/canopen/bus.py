@@ -8,13 +8,12 @@ import struct
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from functools import partial
-from itertools import combinations
-from statistics import median
 from time import perf_counter
 from typing import TypeVar
 
 from drivers import error_codes
 from drivers.bus import GUARDS, Exchange
+from drivers.canopen.liveness import Liveness
 from drivers.canopen.pdo import (
     HEARTBEAT_PRODUCER,
     MAPPING,
@@ -27,6 +26,7 @@ from drivers.canopen.pdo import (
     size_of,
 )
 from drivers.canopen.pdo_parameters import PRE_OPERATIONAL, PdoParameters
+from drivers.canopen.sync import check_sync
 from drivers.canopen.wire import HEARTBEAT, SYNC, CanWire
 from drivers.errors import (
     AccessDenied,
@@ -46,7 +46,7 @@ from profiles.identity import Identity
 from profiles.parameter import Access
 from profiles.schema import Profile
 
-__all__ = ["NAMELESS", "CanopenBus", "identify", "sync_period"]
+__all__ = ["NAMELESS", "CanopenBus", "identify"]
 
 MISSED_CYCLES = 3  # consecutive cycles without a sample are a lost link (safety, receive deadline)
 
@@ -57,13 +57,7 @@ _COMMANDS: dict[int | None, int] = {
     0x00: PRE_OPERATIONAL, 0x04: 0x02, 0x05: NMT_OPERATIONAL, 0x7F: PRE_OPERATIONAL,
 }  # fmt: skip
 _STATES = {0x00: "booting", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
-_HEARTBEAT_EVERY = 100  # ms, asked of a node that has none
-_HEARTBEATS_MISSED = 3
-_FIRST_BEAT, _FIRST_ANSWER = 1.0, 0.05  # s that are waited for it
 _CONSUMER_BEGINS = 0.005  # s from the first beat to the second, before the node is started again
-_SYNCS_LOOKED_AT = 20
-_SYNC_PATIENCE = 1.0  # s
-_SYNC_TOLERANCE = 0.1  # of the cycle
 _EVENT_DRIVEN = 255
 _EVERY_SYNC = 1
 _OBJECT = re.compile(r"([0-9A-F]{4})h:([0-9A-F]{2})")
@@ -136,10 +130,10 @@ class CanopenBus:
         self._idle: tuple[int, ...] = ()
         watchdog = profile.watchdog
         self._watched_by = watchdog.kind if watchdog.kind in ("heartbeat", "guarding") else ""
+        self._liveness = Liveness(wire, self._pdos, is_guarded=self._watched_by == "guarding")
         self._heartbeat = HEARTBEAT + watchdog.node
         self._heartbeat_every = watchdog.timeout / GUARDS
         self._heartbeat_due = -1.0
-        self._silence_allowed = 0.0  # s without a heartbeat of the node; 0: it has none
         if pace.stepping:
             self._simulate("simulation_cycle", pace.cycle)
 
@@ -262,10 +256,12 @@ class CanopenBus:
             self._start_again()
             return
         if self._wire.awaits_sync:
-            self._check_sync()
+            check_sync(self._wire, self.cycle)
         self._wire.drain()
         if self.in_real_time:
-            self._ask_for_heartbeat()
+            old = self._liveness.ask()
+            if old is not None:
+                self._old[HEARTBEAT_PRODUCER] = old
         if self._state_before is None:
             self._state_before = self._wire.heartbeat_state
         self._wire.nmt(PRE_OPERATIONAL)
@@ -281,7 +277,7 @@ class CanopenBus:
         self._running = True
         self._beat()  # the drive watches from the first one on: before it is enabled, not after
         self._wire.drain()
-        self._supervise()
+        self._liveness.supervise()
 
     def _set_up(self, pdo: Pdo, there: Objects, wanted: Objects) -> None:
         """Map a PDO, as wide as the drive has its objects.
@@ -321,7 +317,7 @@ class CanopenBus:
         """A node that has lost our heartbeat is not operational any more (1029h:01 = 0)."""
         self._beat()
         self._wire.drain()
-        self._supervise()
+        self._liveness.supervise()
         if not self._watched_by:
             return
         self.wait(_CONSUMER_BEGINS)
@@ -340,9 +336,9 @@ class CanopenBus:
             if not agree(there, wanted):
                 there |= self._pdos.beyond(pdo, there)
                 found |= {name_of(at): (old, wanted.get(at, 0)) for at, old in there.items()}
-        every = self._heartbeat_time() if self.in_real_time else None
-        if every is not None and every != self._heartbeat_wanted(every):
-            found[name_of(HEARTBEAT_PRODUCER)] = every, self._heartbeat_wanted(every)
+        every = self._liveness.time() if self.in_real_time else None
+        if every is not None and every != self._liveness.wanted(every):
+            found[name_of(HEARTBEAT_PRODUCER)] = every, self._liveness.wanted(every)
         return found
 
     def put_back(self, old: dict[str, int]) -> bool:
@@ -372,7 +368,7 @@ class CanopenBus:
             except (AccessDenied, WriteFailed) as error:
                 failures.append(str(error))
         every = objects.get(HEARTBEAT_PRODUCER)
-        if every is not None and self._heartbeat_time() not in (None, every):
+        if every is not None and self._liveness.time() not in (None, every):
             changed = True
             try:
                 self._pdos.download(HEARTBEAT_PRODUCER, every)
@@ -387,81 +383,6 @@ class CanopenBus:
         self._old = {at: raw for at, raw in self._old.items() if at not in objects}
         return changed
 
-    def _check_sync(self) -> None:
-        """See that SYNC comes as often as the cycle says; raises PreflightRefused."""
-        wire, arrivals = self._wire, []
-        wire.drain()
-        for _ in range(_SYNCS_LOOKED_AT):
-            wire.syncs = 0
-            if not wire.await_sync(max(_SYNC_PATIENCE, 3 * self.cycle)):
-                raise PreflightRefused(
-                    f"no SYNC on the bus within {_SYNC_PATIENCE:g} s: is its producer on? Without "
-                    "sync=bus in the link, tworelay produces it",
-                    code="sync.none",
-                )
-            arrivals.append(perf_counter())
-        period = sync_period(arrivals)
-        if abs(period - self.cycle) > _SYNC_TOLERANCE * self.cycle:
-            raise PreflightRefused(
-                f"SYNC comes every {period * 1000:g} ms and the cycle is {self.cycle * 1000:g} ms: give "
-                f"--cycle {period:g}",
-                code="sync.period",
-            )
-
-    def _heartbeat_time(self) -> int | None:
-        """Producer heartbeat time (1017h), ms; None: the node has none."""
-        try:
-            return self._pdos.number(*HEARTBEAT_PRODUCER)
-        except AccessDenied:
-            return None
-
-    def _ask_for_heartbeat(self) -> None:
-        """See that the node tells that it lives: by its heartbeat (1017h), or as it is guarded.
-
-        A node does not do both (CiA 301, 7.2.8.2.2.3). One that tells nothing is known by its TPDO alone.
-        """
-        wire, every = self._wire, self._heartbeat_time()
-        is_guarded = self._watched_by == "guarding"
-        wanted = self._heartbeat_wanted(every)
-        if every is not None and every != wanted:
-            try:
-                self._pdos.download(HEARTBEAT_PRODUCER, wanted)
-            except AccessDenied:
-                return
-            self._old[HEARTBEAT_PRODUCER] = every
-        self._silence_allowed = _HEARTBEATS_MISSED * (wanted or _HEARTBEAT_EVERY) / 1000
-        if is_guarded or (every is None and wire.can_guard):
-            wire.guard()  # which tells the state, too
-        patience = _FIRST_ANSWER if every is None else _FIRST_BEAT
-        wire.pump_until(lambda: wire.heartbeat_state is not None, patience)
-        if every is None and not is_guarded:
-            self._silence_allowed = 0.0
-
-    def _heartbeat_wanted(self, every: int | None) -> int:
-        """Producer heartbeat time, ms: that which is there, and none of a node that is guarded."""
-        return 0 if self._watched_by == "guarding" else every or _HEARTBEAT_EVERY
-
-    def _supervise(self) -> None:
-        """Raises LinkLost where the node has restarted, or fallen silent."""
-        wire = self._wire
-        if wire.restarted:
-            wire.restarted = False  # said once: the stop path still waits for standstill
-            raise LinkLost(
-                f"node {wire.node} has restarted (its boot-up message was heard): was its supply "
-                "interrupted?",
-                code="link.restarted",
-            )
-        if not self._silence_allowed or wire.heartbeat_state is None:
-            return
-        asked = wire.guarded_at if self._watched_by == "guarding" else wire.heard_at
-        silent = perf_counter() - asked if asked is not None else 0.0
-        if silent > self._silence_allowed:
-            self._silence_allowed = 0.0
-            raise LinkLost(
-                f"no heartbeat from node {wire.node} for {silent * 1000:.0f} ms: the link is lost",
-                code="link.heartbeat",
-            )
-
     def exchange(self, values: tuple[int, ...]) -> Exchange:
         """Command by RPDO now, SYNC at the deadline, feedback by TPDO."""
         wire, pace = self._wire, self._pace
@@ -471,20 +392,20 @@ class CanopenBus:
             wire.drain()
             missed, wire.syncs = wire.syncs, 0  # those that nobody was there for
         lost = silent = 0
-        self._supervise()  # before the command, as far as has been heard
+        self._liveness.supervise()  # before the command, as far as has been heard
         while True:
             wire.send(self._rpdo.cob_id, payload)
             sent = pace.now()
             self._beat()
             if wire.awaits_sync:
-                self._supervise()
+                self._liveness.supervise()
                 silent += not wire.await_sync(self._deadline)
                 lateness, time = missed * self.cycle, pace.now()
                 wire.syncs = 0
             else:
                 lateness = pace.next_deadline()
                 wire.drain()
-                self._supervise()
+                self._liveness.supervise()
                 time = pace.now()
                 wire.send(SYNC, b"")
             data = wire.take_tpdo(self._deadline)
@@ -521,7 +442,7 @@ class CanopenBus:
         if wire.bus_trouble:
             return f"; {wire.bus_trouble}"
         state = wire.heartbeat_state
-        if not self._silence_allowed or state in (None, _STATE_OPERATIONAL):
+        if not self._liveness.is_told or state in (None, _STATE_OPERATIONAL):
             return ""
         return f"; its heartbeat says '{_STATES.get(state, f'{state:02X}h')}'"
 
@@ -532,7 +453,7 @@ class CanopenBus:
         self._pace.pass_time(seconds)
         if self._running and self.in_real_time:
             self._wire.drain()
-            self._supervise()
+            self._liveness.supervise()
 
     def answering_within(self, seconds: float) -> AbstractContextManager[None]:
         """Requests meanwhile may take so long to be answered, if that is more than usual."""
@@ -568,12 +489,6 @@ class CanopenBus:
                 self._put_back(self._old)
         finally:
             self._wire.close()
-
-
-def sync_period(arrivals: list[float]) -> float:
-    """Period of messages, s, to 0.1 ms; late arrivals count little (slope of Theil and Sen)."""
-    pairs = combinations(enumerate(arrivals), 2)
-    return round(median((after - before) / (n - m) for (m, before), (n, after) in pairs), 4)
 
 
 def _canopen(address: Address) -> CanopenAddress:

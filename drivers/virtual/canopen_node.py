@@ -7,9 +7,21 @@ event-driven PDOs with their event timers.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from drivers.virtual.aborts import (
+    ABORT_BLOCK_SIZE,
+    ABORT_COMMAND,
+    ABORT_LENGTH,
+    ABORT_NO_OBJECT,
+    ABORT_NO_SUB,
+    ABORT_RANGE,
+    ABORT_READ_ONLY,
+    ABORT_TOGGLE,
+    ABORT_WRITE_ONLY,
+    DENIALS,
+    Abort,
+)
 from drivers.virtual.block_upload import BlockUpload
 from drivers.virtual.device import Device
 from drivers.virtual.dictionary import OWN, Dictionary
@@ -18,9 +30,9 @@ from drivers.virtual.firmware import (
     ERROR_HEARTBEAT,
     ERROR_PDO_TIMEOUT,
     Denied,
-    Trip,
 )
-from drivers.virtual.mirror import Entry, Mirror
+from drivers.virtual.mirror import Mirror
+from drivers.virtual.node_pdo import OFF, Pdo
 from drivers.virtual.own_eds import own_eds
 
 __all__ = ["Abort", "CanopenNode", "Frame", "Pdo"]
@@ -29,7 +41,6 @@ _MS = 1_000_000  # ns
 
 _PRE_OPERATIONAL, _OPERATIONAL, _STOPPED = 0x7F, 0x05, 0x04
 _AFTER_AN_ERROR = {0: _PRE_OPERATIONAL, 2: _STOPPED}  # by 1029h:01
-_OFF = 1 << 31
 _IDENTIFIER = (1 << 30) - 1  # of a COB-ID: may not change while the PDO exists
 _EVENT = 254  # transmission types from here on are event-driven
 _RESERVED = range(241, 254)  # and those that only a remote frame asks for, which it does not answer
@@ -37,18 +48,6 @@ _INHIBIT = 100_000  # ns a step
 
 # CiA 301, SDO abort codes
 _STORED_EDS = 0x1021
-_ABORT_TOGGLE = 0x05030000
-_ABORT_BLOCK_SIZE = 0x05040002
-_ABORT_COMMAND = 0x05040001
-_ABORT_WRITE_ONLY = 0x06010001
-_ABORT_READ_ONLY = 0x06010002
-_ABORT_NO_OBJECT = 0x06020000
-_ABORT_NOT_MAPPABLE = 0x06040041
-_ABORT_PDO_LENGTH = 0x06040042
-_ABORT_LENGTH = 0x06070010
-_ABORT_NO_SUB = 0x06090011
-_ABORT_RANGE = 0x06090030
-_ABORT_STATE = 0x08000022
 
 
 class Frame(NamedTuple):
@@ -56,56 +55,6 @@ class Frame(NamedTuple):
 
     cob_id: int
     data: bytes
-
-
-class Abort(Exception):
-    """The SDO server refuses an access, with a code of CiA 301."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(f"{code:08X}h")
-        self.code = code
-
-
-_DENIALS = {
-    Trip.NO_OBJECT: _ABORT_NO_OBJECT,
-    Trip.READ_ONLY: _ABORT_READ_ONLY,
-    Trip.RANGE: _ABORT_RANGE,
-    Trip.STATE: _ABORT_STATE,
-}
-
-
-@dataclass
-class Pdo:
-    """Communication and mapping parameters of one PDO."""
-
-    cob_id: int
-    transmission: int
-    entries: list[int]
-    event_timer: int = 0  # ms
-    inhibit: int = 0  # 100 us, least time between two
-    count: int = 0
-    sent: bytes | None = None  # what it said last
-    slots: list[int] = field(default_factory=lambda: [0] * 8)
-    pending: bytes | None = None
-    since: int = 0  # ns, last sent or received
-    syncs: int = 0
-    armed: bool = False
-
-    def __post_init__(self) -> None:
-        self.slots[: len(self.entries)] = self.entries
-        self.count = len(self.entries)
-
-    @property
-    def active(self) -> bool:
-        """Whether it exists (CiA 301, 7.5.2.35)."""
-        return not self.cob_id & _OFF
-
-    def mapped(self, dictionary: Dictionary) -> list[tuple[Entry, int]]:
-        """Entry and its length in bytes, in order."""
-        return [
-            (dictionary.objects[slot >> 16, slot >> 8 & 0xFF], (slot & 0xFF) // 8)
-            for slot in self.slots[: self.count]
-        ]
 
 
 class CanopenNode:
@@ -145,11 +94,11 @@ class CanopenNode:
         n = self.node_id
         self._rpdos = [
             Pdo(0x200 + n, 255, [0x60400010]),
-            Pdo(_OFF | 0x300 + n, 255, [0x60400010, 0x60600008]),
+            Pdo(OFF | 0x300 + n, 255, [0x60400010, 0x60600008]),
         ]
         self._tpdos = [
             Pdo(0x180 + n, 255, [0x60410010]),
-            Pdo(_OFF | 0x280 + n, 255, [0x60410010, 0x60610008]),
+            Pdo(OFF | 0x280 + n, 255, [0x60410010, 0x60610008]),
         ]
 
     def boot(self) -> list[Frame]:
@@ -319,7 +268,7 @@ class CanopenNode:
             elif specifier == 4:
                 self._upload = self._download = self._block = None
             else:
-                raise Abort(_ABORT_COMMAND)
+                raise Abort(ABORT_COMMAND)
         except Abort as abort:
             self._upload = self._download = self._block = None
             self._answer(struct.pack("<BHBI", 0x80, index, sub, abort.code))
@@ -338,9 +287,9 @@ class CanopenNode:
 
     def _upload_segment(self, command: int) -> None:
         if self._upload is None:
-            raise Abort(_ABORT_COMMAND)
+            raise Abort(ABORT_COMMAND)
         if command >> 4 & 1 != self._toggle:
-            raise Abort(_ABORT_TOGGLE)
+            raise Abort(ABORT_TOGGLE)
         part, rest = self._upload[:7], self._upload[7:]
         last = 0 if rest else 1
         self._answer(bytes((self._toggle << 4 | (7 - len(part)) << 1 | last,)) + part)
@@ -352,12 +301,12 @@ class CanopenNode:
         if command == 0:  # initiate: block size in byte 4
             value = self._read(index, sub)
             if not 1 <= data[4] <= 127:
-                raise Abort(_ABORT_BLOCK_SIZE)
+                raise Abort(ABORT_BLOCK_SIZE)
             self._block = BlockUpload(value, data[4])
             self._answer(struct.pack("<BHBI", 0xC6, index, sub, len(value)))
             return
         if block is None:
-            raise Abort(_ABORT_COMMAND)
+            raise Abort(ABORT_COMMAND)
         if command == 3:
             segments = block.block()
         elif command == 2 and not block.ended:
@@ -366,7 +315,7 @@ class CanopenNode:
             self._block = None
             return
         else:
-            raise Abort(_ABORT_COMMAND)
+            raise Abort(ABORT_COMMAND)
         for segment in segments:
             self._answer(segment)
 
@@ -382,18 +331,18 @@ class CanopenNode:
 
     def _download_segment(self, data: bytes) -> None:
         if self._download is None:
-            raise Abort(_ABORT_COMMAND)
+            raise Abort(ABORT_COMMAND)
         command = data[0]
         if command >> 4 & 1 != self._toggle:
-            raise Abort(_ABORT_TOGGLE)
+            raise Abort(ABORT_TOGGLE)
         index, sub, collected = self._download
         collected += data[1 : 8 - (command >> 1 & 7)]
         if len(collected) > 1024:
-            raise Abort(_ABORT_LENGTH)
+            raise Abort(ABORT_LENGTH)
         if command & 1:
             self._download = None
             if self._declared not in (None, len(collected)):
-                raise Abort(_ABORT_LENGTH)
+                raise Abort(ABORT_LENGTH)
             self._write(index, sub, bytes(collected), sized=True)
         self._answer(bytes((0x20 | self._toggle << 4,)))
         self._toggle ^= 1
@@ -404,15 +353,15 @@ class CanopenNode:
         entry = self._dictionary.objects.get((index, sub))
         if entry is not None:
             if entry.access == "wo":
-                raise Abort(_ABORT_WRITE_ONLY)
+                raise Abort(ABORT_WRITE_ONLY)
             try:
                 value = self._mirror.value(entry)
             except Denied as denied:
-                raise Abort(_DENIALS[denied.reason]) from None
+                raise Abort(DENIALS[denied.reason]) from None
             return struct.pack("<" + entry.code, value)
         pdo = self._pdo(index)
         if pdo is not None:
-            return self._read_pdo(pdo, index, sub)
+            return pdo.read(index, sub)
         if (index, sub) == (_STORED_EDS, 0):
             own = self._dictionary
             return own_eds(own.objects, own.identity, own.strings[0x1008].decode())
@@ -442,27 +391,27 @@ class CanopenNode:
     def _missing(self, index: int) -> int:
         own = self._dictionary
         known = index in own.counts or index in own.strings or (index, 0) in own.objects
-        return _ABORT_NO_SUB if known or self._pdo(index) is not None else _ABORT_NO_OBJECT
+        return ABORT_NO_SUB if known or self._pdo(index) is not None else ABORT_NO_OBJECT
 
     def _write(self, index: int, sub: int, data: bytes, *, sized: bool) -> None:
         entry = self._dictionary.objects.get((index, sub))
         if entry is not None:
             if entry.access == "ro":
-                raise Abort(_ABORT_READ_ONLY)
+                raise Abort(ABORT_READ_ONLY)
             value = self._number(data, entry.code, sized=sized)
             try:
                 self._mirror.set(entry, value)
             except Denied as denied:
-                raise Abort(_DENIALS[denied.reason]) from None
+                raise Abort(DENIALS[denied.reason]) from None
             return
         pdo = self._pdo(index)
         if index in self._dictionary.lacks:
-            raise Abort(_ABORT_NO_OBJECT)
+            raise Abort(ABORT_NO_OBJECT)
         if pdo is not None:
             self._write_pdo(pdo, index, sub, data)
         elif (index, sub) == (0x1010, 1):
             if data != b"save":
-                raise Abort(_ABORT_RANGE)
+                raise Abort(ABORT_RANGE)
             self._to_device("store_command", 1)
         elif (index, sub) == (0x1016, 1):
             value = self._number(data, "I", sized=sized)
@@ -472,7 +421,7 @@ class CanopenNode:
         elif (index, sub) == (0x1029, 1):
             value = self._number(data, "B", sized=sized)
             if value > 2:
-                raise Abort(_ABORT_RANGE)
+                raise Abort(ABORT_RANGE)
             self._error_behaviour = value
         elif (index, sub) == (0x1017, 0):
             self._producer = self._number(data, "H", sized=sized)
@@ -483,20 +432,23 @@ class CanopenNode:
                 self._read(index, sub)
             except Abort:
                 known = False
-            raise Abort(_ABORT_READ_ONLY if known else self._missing(index))
+            raise Abort(ABORT_READ_ONLY if known else self._missing(index))
 
     def _to_device(self, key: str, value: int) -> None:
         try:
             self.device.write(key, value)
         except Denied as denied:
-            raise Abort(_DENIALS[denied.reason]) from None
+            raise Abort(DENIALS[denied.reason]) from None
 
     @staticmethod
     def _number(data: bytes, code: str, *, sized: bool) -> int:
         size = struct.calcsize("<" + code)
         if sized and len(data) != size:
-            raise Abort(_ABORT_LENGTH)
+            raise Abort(ABORT_LENGTH)
         return int(struct.unpack("<" + code, data[:size])[0])
+
+    def _write_pdo(self, pdo: Pdo, index: int, sub: int, data: bytes) -> None:
+        pdo.write(index, sub, data, self._dictionary.objects)
 
     def _pdo(self, index: int) -> Pdo | None:
         for base, pdos in (
@@ -508,70 +460,3 @@ class CanopenNode:
             if base <= index < base + len(pdos):
                 return pdos[index - base]
         return None
-
-    @staticmethod
-    def _read_pdo(pdo: Pdo, index: int, sub: int) -> bytes:
-        if index & 0x0200:
-            if sub == 0:
-                return bytes((pdo.count,))
-            if sub > len(pdo.slots):
-                raise Abort(_ABORT_NO_SUB)
-            return struct.pack("<I", pdo.slots[sub - 1])
-        try:
-            return {
-                0: b"\x05",
-                1: struct.pack("<I", pdo.cob_id),
-                2: bytes((pdo.transmission,)),
-                3: struct.pack("<H", pdo.inhibit),
-                5: struct.pack("<H", pdo.event_timer),
-            }[sub]
-        except KeyError:
-            raise Abort(_ABORT_NO_SUB) from None
-
-    def _write_pdo(self, pdo: Pdo, index: int, sub: int, data: bytes) -> None:
-        value = int.from_bytes(data, "little")
-        if index & 0x0200:
-            self._write_mapping(pdo, sub, value)
-        elif sub == 1:
-            if pdo.active and not value & _OFF and (pdo.cob_id ^ value) & _IDENTIFIER:
-                raise Abort(_ABORT_RANGE)
-            pdo.cob_id = value
-            pdo.armed = False
-            pdo.sent = None
-        elif sub == 2:
-            if value in _RESERVED:
-                raise Abort(_ABORT_RANGE)
-            pdo.transmission = value & 0xFF
-        elif sub == 3:
-            if pdo.active:
-                raise Abort(_ABORT_STATE)
-            pdo.inhibit = value & 0xFFFF
-        elif sub == 5:
-            pdo.event_timer = value & 0xFFFF
-        else:
-            raise Abort(_ABORT_NO_SUB if sub else _ABORT_READ_ONLY)
-
-    def _write_mapping(self, pdo: Pdo, sub: int, value: int) -> None:
-        if pdo.active:
-            raise Abort(_ABORT_STATE)
-        if sub == 0:
-            if value > len(pdo.slots) or any(
-                (slot >> 16, slot >> 8 & 0xFF) not in self._dictionary.objects
-                for slot in pdo.slots[:value]
-            ):
-                raise Abort(_ABORT_NOT_MAPPABLE)
-            if sum(slot & 0xFF for slot in pdo.slots[:value]) > 64:
-                raise Abort(_ABORT_PDO_LENGTH)
-            pdo.count = value
-            return
-        if sub > len(pdo.slots):
-            raise Abort(_ABORT_NO_SUB)
-        if pdo.count:
-            raise Abort(_ABORT_STATE)
-        if value == 0:  # an entry of nothing, which may not be counted
-            pdo.slots[sub - 1] = value
-            return
-        entry = self._dictionary.objects.get((value >> 16, value >> 8 & 0xFF))
-        if entry is None or struct.calcsize("<" + entry.code) * 8 != value & 0xFF:
-            raise Abort(_ABORT_NOT_MAPPABLE)
-        pdo.slots[sub - 1] = value

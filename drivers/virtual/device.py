@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from typing import Literal
 
-from drivers.virtual.firmware import SECOND, Denied, Firmware, Trip
+from drivers.virtual.firmware import SECOND, DenialReason, Denied, Firmware
 
 __all__ = ["Clock", "Device"]
 
@@ -52,17 +52,17 @@ class Device:
         """Write a raw value by key; raises Denied."""
         if key == "simulation_cycle":
             if not 1 <= value * 1000 <= _LONGEST_STEP:
-                raise Denied(Trip.RANGE)
+                raise Denied(DenialReason.RANGE)
             self.cycle = value * 1000
         elif key == "simulation_advance":
             if not self.stepping:
-                raise Denied(Trip.STATE)
+                raise Denied(DenialReason.STATE)
             if not 0 <= value * 1000 <= _LONGEST_STEP:
-                raise Denied(Trip.RANGE)
+                raise Denied(DenialReason.RANGE)
             self.firmware.advance(value * 1000)
         elif key == "store_command":
             if value != 1:
-                raise Denied(Trip.RANGE)
+                raise Denied(DenialReason.RANGE)
             self.firmware.store()
         else:
             self.firmware.write(key, value)

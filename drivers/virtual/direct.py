@@ -13,7 +13,7 @@ from drivers.bus import Exchange
 from drivers.errors import AccessDenied, WriteDenied
 from drivers.serial_port import Stream
 from drivers.virtual.device import Device
-from drivers.virtual.firmware import SECOND, Denied, Trip
+from drivers.virtual.firmware import SECOND, DenialReason, Denied
 from drivers.virtual.habits import NONE, Habits
 from drivers.virtual.modbus_identity import PRODUCT, REVISION, VENDOR
 from drivers.virtual.registers import RegisterMap
@@ -79,7 +79,7 @@ class DirectBus:
             self._map.write(address.register_, words)
         except Denied as error:
             text = f"{address}: the virtual drive refuses {raw} ({error})"
-            raise WriteDenied(text, busy=error.reason is Trip.STATE) from None
+            raise WriteDenied(text, busy=error.reason is DenialReason.STATE) from None
 
     def post(self, address: Address, raw: int) -> None:
         """Write; nothing can be lost here."""

@@ -22,7 +22,7 @@ from drivers.virtual.objects import (
     objects,
 )
 
-__all__ = ["Denied", "Firmware", "State", "Trip"]
+__all__ = ["DenialReason", "Denied", "Firmware", "State"]
 
 SECOND = 1_000_000_000  # ns
 _HALF_TURN_OF_I32 = 1 << 31  # a 32-bit position counter rolls over
@@ -59,7 +59,7 @@ class State(Enum):
     FAULT = 0x08
 
 
-class Trip(Enum):
+class DenialReason(Enum):
     """Why the drive does not take a value."""
 
     NO_OBJECT = auto()
@@ -71,7 +71,7 @@ class Trip(Enum):
 class Denied(Exception):
     """The drive refuses an access; adapters turn it into their bus' answer."""
 
-    def __init__(self, reason: Trip) -> None:
+    def __init__(self, reason: DenialReason) -> None:
         super().__init__(reason.name)
         self.reason = reason
 
@@ -217,19 +217,19 @@ class Firmware:
         try:
             return self.values[key]
         except KeyError:
-            raise Denied(Trip.NO_OBJECT) from None
+            raise Denied(DenialReason.NO_OBJECT) from None
 
     def write(self, key: str, value: int) -> None:
         """Write a raw value; raises Denied."""
         if key in _LIVE:
-            raise Denied(Trip.READ_ONLY)
+            raise Denied(DenialReason.READ_ONLY)
         item = self._objects.get(key)
         if item is None:
-            raise Denied(Trip.NO_OBJECT)
+            raise Denied(DenialReason.NO_OBJECT)
         if not item.writable:
-            raise Denied(Trip.READ_ONLY)
+            raise Denied(DenialReason.READ_ONLY)
         if not item.low <= value <= item.high:
-            raise Denied(Trip.RANGE)
+            raise Denied(DenialReason.RANGE)
         if key == "mode":
             self._set_mode(value)
             return
@@ -253,12 +253,12 @@ class Firmware:
     def store(self) -> None:
         """Save the non-volatile objects; busy for a while; raises Denied while enabled."""
         if self._energised:
-            raise Denied(Trip.STATE)
+            raise Denied(DenialReason.STATE)
         kept = {key: self.values[key] for key, item in self._objects.items() if item.nonvolatile}
         try:
             self.memory.save(kept)
         except OSError:
-            raise Denied(Trip.STATE) from None
+            raise Denied(DenialReason.STATE) from None
         self.store_busy_until = self.now + _STORE_TIME
 
     def feed_watchdog(self) -> None:
@@ -412,9 +412,9 @@ class Firmware:
 
     def _set_mode(self, mode: int) -> None:
         if mode not in MODES and mode != 0:
-            raise Denied(Trip.RANGE)
+            raise Denied(DenialReason.RANGE)
         if self.state is State.OPERATION_ENABLED and mode != self.values["mode"]:
-            raise Denied(Trip.STATE)
+            raise Denied(DenialReason.STATE)
         self.values["mode"] = mode
 
     # -- set-points --------------------------------------------------------------------------------

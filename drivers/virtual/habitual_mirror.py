@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from drivers.virtual.device import Device
-from drivers.virtual.firmware import SECOND, Denied, State, Trip
+from drivers.virtual.firmware import SECOND, DenialReason, Denied, State
 from drivers.virtual.habits import Habits
 from drivers.virtual.mirror import Entry, Mirror
 from drivers.virtual.switchgear import Switchgear
@@ -118,7 +118,7 @@ class HabitualMirror(Mirror):
     def _set_mode(self, entry: Entry, value: float) -> None:
         before = self._firmware.read("mode_display")
         if self._halted or ("same-mode" in self._habits and value == before):
-            raise Denied(Trip.STATE)
+            raise Denied(DenialReason.STATE)
         super().set(entry, value)
         if value != before:
             self._mode_before = before

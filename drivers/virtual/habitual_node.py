@@ -6,13 +6,15 @@ import struct
 import time
 from dataclasses import replace
 
-from drivers.virtual.canopen_node import Abort, CanopenNode, Frame, Pdo
+from drivers.virtual.aborts import Abort
+from drivers.virtual.canopen_node import CanopenNode, Frame
 from drivers.virtual.device import Device
 from drivers.virtual.dictionary import OWN, Dictionary
 from drivers.virtual.firmware import SECOND, State
 from drivers.virtual.habits import NONE, Habits
 from drivers.virtual.habitual_mirror import mirror_of
 from drivers.virtual.mirror import Entry
+from drivers.virtual.node_pdo import Pdo
 
 __all__ = ["HabitualNode"]
 

@@ -7,7 +7,7 @@ from math import isfinite
 from typing import NamedTuple
 
 from drivers.virtual.device import Device
-from drivers.virtual.firmware import Denied, Trip
+from drivers.virtual.firmware import DenialReason, Denied
 from drivers.virtual.switchgear import Switchgear
 
 __all__ = ["Entry", "Mirror"]
@@ -66,7 +66,7 @@ class Mirror:
     def set(self, entry: Entry, value: float) -> None:
         """Write an object value to all that it mirrors; raises Denied."""
         if not isfinite(value):
-            raise Denied(Trip.RANGE)
+            raise Denied(DenialReason.RANGE)
         if not entry.keys or entry.code == "f":
             self._kept[entry.name] = value
         for key in entry.keys:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from drivers.virtual.firmware import Denied, Trip
+from drivers.virtual.firmware import DenialReason, Denied
 from drivers.virtual.registers import RegisterMap
 
 __all__ = ["READ_IDENTIFICATION", "ModbusSlave", "Refusal"]
@@ -17,8 +17,8 @@ _CONFORMITY = 0x81  # basic identification, as a stream and one by one
 _ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS, _ILLEGAL_VALUE, _BUSY = 1, 2, 3, 6
 _MOST_READ, _MOST_WRITTEN, _MOST_BOTH = 125, 123, 121  # registers (6.3, 6.12, 6.17)
 _REASONS = {
-    Trip.NO_OBJECT: _ILLEGAL_ADDRESS, Trip.READ_ONLY: _ILLEGAL_ADDRESS,
-    Trip.RANGE: _ILLEGAL_VALUE, Trip.STATE: _BUSY,
+    DenialReason.NO_OBJECT: _ILLEGAL_ADDRESS, DenialReason.READ_ONLY: _ILLEGAL_ADDRESS,
+    DenialReason.RANGE: _ILLEGAL_VALUE, DenialReason.STATE: _BUSY,
 }  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from drivers.virtual.device import Device
-from drivers.virtual.firmware import Denied, Trip
+from drivers.virtual.firmware import DenialReason, Denied
 from drivers.virtual.habits import NONE, Habits
 from drivers.virtual.habitual_mirror import mirror_of
 from drivers.virtual.mailbox import VirtualMailbox
@@ -134,7 +134,7 @@ class RegisterMap:
         while start < end:
             found = self._words(start)
             if len(found) > end - start:
-                raise Denied(Trip.NO_OBJECT)
+                raise Denied(DenialReason.NO_OBJECT)
             words += found
             start += len(found)
         return words
@@ -153,7 +153,7 @@ class RegisterMap:
         if entry is None:
             return [0]
         if entry.access == "wo":
-            raise Denied(Trip.NO_OBJECT)
+            raise Denied(DenialReason.NO_OBJECT)
         value = self._mirror.value(entry)
         packed = struct.pack(f">{entry.code}", value if entry.code == "f" else int(value))
         words = list(struct.unpack(f">{len(packed) // 2}H", packed))
@@ -177,10 +177,10 @@ class RegisterMap:
                 continue
             entry = self._entry(start)
             if entry is None or entry.access == "ro":
-                raise Denied(Trip.READ_ONLY)
+                raise Denied(DenialReason.READ_ONLY)
             width = struct.calcsize(entry.code) // 2
             if width > len(left):
-                raise Denied(Trip.NO_OBJECT)
+                raise Denied(DenialReason.NO_OBJECT)
             ordered = left[:width][::-1] if start in self.layout.low_first else left[:width]
             packed = struct.pack(f">{width}H", *ordered)
             writes.append((entry, struct.unpack(f">{entry.code}", packed)[0]))
@@ -203,5 +203,5 @@ class RegisterMap:
         """Object that begins there; None where a register reads 0; raises Denied."""
         entry = self.layout.registers.get(start)
         if entry is None and start not in self.layout.filled:
-            raise Denied(Trip.NO_OBJECT)
+            raise Denied(DenialReason.NO_OBJECT)
         return entry

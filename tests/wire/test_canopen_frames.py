@@ -13,8 +13,9 @@ import can
 import pytest
 
 from drivers.canopen.adapters import open_bus
-from drivers.canopen.bus import CanopenBus, sync_period
+from drivers.canopen.bus import CanopenBus
 from drivers.canopen.bus_state import BUS_OFF, NO_ACK, PASSIVE, words
+from drivers.canopen.sync import sync_period
 from drivers.canopen.wire import CanWire, NoAnswer
 from drivers.errors import AccessDenied, LinkError, LinkLost, PreflightRefused, WriteDenied
 from drivers.pace import WallPace
@@ -397,7 +398,9 @@ def test_a_drive_that_says_who_stopped_beating_says_it_in_words() -> None:
 
 def test_a_dead_producer_of_sync_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """With sync=bus another device paces the cycle; its silence is not the node's."""
-    monkeypatch.setattr(CanopenBus, "_check_sync", lambda bus: None)  # it was there before the run
+    monkeypatch.setattr(
+        "drivers.canopen.bus.check_sync", lambda wire, cycle: None
+    )  # it was there before the run
     bus, _, _ = running(awaits_sync=True)
     with pytest.raises(
         LinkLost, match="no SYNC on the bus for 3 cycles of 1 ms: its producer has stopped"

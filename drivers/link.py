@@ -21,6 +21,7 @@ from profiles.identity import NOBODY, Identity
 from profiles.library import fitting, load_profile
 from profiles.procedures import LinkDefaults, Patience
 from profiles.schema import Profile
+from profiles.transports import transport_of
 
 if TYPE_CHECKING:
     from drivers.modbus.wires import Wire
@@ -94,7 +95,7 @@ def open_drive(
         raise UsageError(f"axis '{axis.name}' has no link: add one to its file")
     link = parse(axis.link)
     named = load_profile(axis.profile, lenient=lenient or to_stop) if axis.profile else None
-    if named is not None and named.bus != ("canopen" if link.scheme == "canopen" else "modbus"):
+    if named is not None and named.bus != transport_of(link.scheme).name:
         raise UsageError(f"profile '{named.name}' is for {named.bus}, the link is {link.scheme}://")
     if named is not None:
         named = _armed_with(named, axis)

@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from profiles.strict import Strict
+from profiles.transports import CycleFunction
 
 __all__ = [
     "Brake",
@@ -154,7 +155,7 @@ class Cycle(Strict):
 
     out: tuple[str, ...]
     in_: Annotated[tuple[str, ...], Field(alias="in")]
-    function: Literal["fc23", "fc16+3", "fc6+3", "pdo"]
+    function: CycleFunction
     gap: Annotated[int, Field(ge=0, le=100)] = 0
     rpdo: Annotated[int, Field(ge=1, le=4)] = 1
     tpdo: Annotated[int, Field(ge=1, le=4)] = 1

@@ -10,7 +10,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from profiles.address import FLOAT, CanopenAddress, MailboxAddress, ModbusAddress
+from profiles.address import FLOAT, MailboxAddress
 from profiles.identity import IdentityMatch
 from profiles.law import Compensation, LoopGains
 from profiles.parameter import Parameter, Protection, Unit
@@ -29,6 +29,7 @@ from profiles.procedures import (
     Watchdog,
 )
 from profiles.strict import Strict
+from profiles.transports import TRANSPORTS, TransportName
 
 __all__ = ["Profile"]
 
@@ -51,7 +52,7 @@ class Profile(Strict):
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")]
     version: str
     title: str
-    bus: Literal["modbus", "canopen"]
+    bus: TransportName
     status: Literal["virtual", "from documents", "tried on hardware"]
     sources: tuple[str, ...] = ()
     identity: IdentityMatch = IdentityMatch()
@@ -116,9 +117,9 @@ class Profile(Strict):
 
     @model_validator(mode="after")
     def _check_bus(self) -> Self:
-        kinds = (CanopenAddress,) if self.bus == "canopen" else (ModbusAddress, MailboxAddress)
+        transport = TRANSPORTS[self.bus]
         for name, parameter in self.parameters.items():
-            if not isinstance(parameter.address, kinds):
+            if not isinstance(parameter.address, transport.addresses):
                 raise ValueError(
                     f"[parameters.{name}] has an address of another bus than '{self.bus}'"
                 )
@@ -140,7 +141,7 @@ class Profile(Strict):
                 raise ValueError(f"[cycle] has '{name}', which is no register with a whole number")
             if name in self.cycle.out and getattr(address, "bits", None) is not None:
                 raise ValueError(f"[cycle] out has '{name}', which is only bits of a register")
-        if (self.cycle.function == "pdo") != (self.bus == "canopen"):
+        if self.cycle.function not in transport.cycles:
             raise ValueError(
                 f"[cycle] function '{self.cycle.function}' does not fit bus '{self.bus}'"
             )

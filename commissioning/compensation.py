@@ -7,7 +7,7 @@ from commissioning.result.found import Found
 from drivers.described import Described, Parameters
 from drivers.errors import WriteFailed
 from drivers.writing import why_not_written
-from profiles.law import Amount, Compensation, Wanted
+from profiles.law import Amount, Compensation, TermValue
 
 __all__ = ["host_terms", "propose"]
 
@@ -65,7 +65,7 @@ def host_terms(
     )  # fmt: skip
 
 
-def _change(what: Described, wanted: Wanted, old: int) -> Change:
+def _change(what: Described, wanted: TermValue, old: int) -> Change:
     raw = what.checked_raw(wanted.value)
     refused = why_not_written(what, raw, old=old)
     if refused is not None and refused.code == "write.step":

@@ -12,7 +12,7 @@ from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from commissioning.ownership import announce, owned
 from commissioning.processes import is_alive, this_process
-from commissioning.records import Context
+from commissioning.records import RunContext
 from drivers.drive import Drive
 from drivers.link import open_drive
 from drivers.link_text import is_simulated
@@ -90,7 +90,7 @@ def begin_run(desk: Desk, drive: Drive, identity: Identity, axis: Axis, fraction
         profile=profile.name,
         profile_hash=digest(profile),
         serial=identity.serial,
-        context=Context(axis.model_dump_json(), fraction, **this_process()),
+        context=RunContext(axis.model_dump_json(), fraction, **this_process()),
     )
     announce(f"run {run}")
     return run

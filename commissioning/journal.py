@@ -33,11 +33,11 @@ from commissioning.records import (
     TAKEN_IN,
     UP_TO,
     Cell,
-    Context,
     Event,
     History,
     Intent,
     Kind,
+    RunContext,
     RunRecord,
     State,
     context_text,
@@ -126,7 +126,7 @@ class Journal:
         profile: str,
         profile_hash: str,
         serial: str,
-        context: Context,
+        context: RunContext,
     ) -> str:
         """Open a run; return its id, which begins with the time by this computer's clock."""
         with self._errors():

@@ -26,11 +26,11 @@ __all__ = [
     "TAKEN_IN",
     "UP_TO",
     "Cell",
-    "Context",
     "Event",
     "History",
     "Intent",
     "Kind",
+    "RunContext",
     "RunRecord",
     "State",
     "context_text",
@@ -64,7 +64,7 @@ _STRICT = ConfigDict(strict=True, extra="ignore", allow_inf_nan=False)
 
 
 @dataclass(frozen=True, slots=True)
-class Context:
+class RunContext:
     """What is needed to connect again, and whose run it is.
 
     Attributes
@@ -98,7 +98,7 @@ class RunRecord:
     profile_hash: str
     serial: str
     status: str
-    context: Context
+    context: RunContext
     adopted: bool = False
 
 
@@ -300,7 +300,7 @@ def _run(found: _Run, *, adopted: bool) -> RunRecord:
     return RunRecord(
         found.id, found.created, found.axis, found.link, found.profile, found.profile_hash, found.serial,
         found.status,
-        Context(json.dumps(context.axis), context.fraction, context.pid, context.started),
+        RunContext(json.dumps(context.axis), context.fraction, context.pid, context.started),
         adopted,
     )  # fmt: skip
 
@@ -318,7 +318,7 @@ def intent_of(row: dict[str, Any]) -> Intent:
     return Intent(seq, run, found.kind, found.parameter, found.old, found.new, found.state)
 
 
-def context_text(context: Context) -> str:
+def context_text(context: RunContext) -> str:
     """A context as the journal keeps it."""
     tree = {**asdict(context), "axis": json.loads(context.axis)}
     return json.dumps({key: value for key, value in tree.items() if value is not None})

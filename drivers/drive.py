@@ -17,7 +17,7 @@ from profiles.law import Compensation, LoopGains
 from profiles.procedures import Mode, Store, Watchdog
 from profiles.schema import Profile
 
-__all__ = ["Drive", "DriveState", "StopReport", "Value"]
+__all__ = ["Drive", "DriveSays", "StopReport", "Value"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class Value(NamedTuple):
     si: float
 
 
-class DriveState(NamedTuple):
+class DriveSays(NamedTuple):
     """What a drive says of itself at one look.
 
     Attributes
@@ -97,7 +97,7 @@ class Drive(Protocol):
     def identity(self) -> Identity:
         """Who the drive says it is."""
 
-    def state(self) -> DriveState:
+    def state(self) -> DriveSays:
         """What the drive says of itself now."""
 
     def read(self, name: str) -> Value:

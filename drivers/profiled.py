@@ -12,7 +12,7 @@ from drivers.bases import read_bases
 from drivers.bus import SET, Bus, StopFrames
 from drivers.counter import Counter
 from drivers.described import Described, described
-from drivers.drive import DriveState, StopReport, Value
+from drivers.drive import DriveSays, StopReport, Value
 from drivers.errors import LinkError, NoAnswer, PreflightRefused, WriteDenied, WriteFailed
 from drivers.line import Line
 from drivers.modes import Modes, SetPoint
@@ -185,7 +185,7 @@ class ProfiledDrive:
 
     # -- energy ----------------------------------------------------------------------------------
 
-    def state(self) -> DriveState:
+    def state(self) -> DriveSays:
         """What the drive says of itself; raises LinkError."""
         said = self._access.patiently(self._power.said)
         code, trouble = self._error_code(), self._bus.trouble()
@@ -197,7 +197,7 @@ class ProfiledDrive:
             text += f", error code {code:04X}h{meaning and f' ({meaning})'}"
             if meaning and not error_codes.is_of_communication(code):
                 stranger = f"{code:04X}h, {meaning}"
-        return DriveState(
+        return DriveSays(
             said.is_energised,
             said.in_fault,
             f"{text}, {trouble}" if trouble else text,

@@ -11,7 +11,7 @@ from profiles.errors import UsageError
 from profiles.identity import Identity
 from profiles.library import builtin_names, load_profile
 
-__all__ = ["Found", "scan"]
+__all__ = ["Heard", "scan"]
 
 _TORQUE_BITS = 1 << 3 | 1 << 9  # of 6502h: torque, cyclic torque
 _TIMEOUT = {
@@ -24,7 +24,7 @@ _TIMEOUT = {
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Heard:
     """One node or unit.
 
     Attributes
@@ -48,7 +48,7 @@ def scan(
     units: Iterable[int],
     timeout: float | None,
     tell: Callable[[int], None],
-) -> list[Found]:
+) -> list[Heard]:
     """Look at a bus by a LINK without a node or unit; raises UsageError, LinkError.
 
     `units` are asked one after the other on Modbus; on CANopen all nodes are asked at once. `tell` hears
@@ -63,7 +63,7 @@ def scan(
     return _modbus(link, units, patience, tell)
 
 
-def _canopen(link: Link, timeout: float) -> list[Found]:
+def _canopen(link: Link, timeout: float) -> list[Heard]:
     from drivers.canopen.survey import survey
 
     bus = open_can(link)
@@ -81,7 +81,7 @@ def _canopen(link: Link, timeout: float) -> list[Found]:
         elif node.modes is not None and not node.modes & _TORQUE_BITS:
             note = f"no torque mode: 6502h is 0x{node.modes:X}"
         found.append(
-            Found(
+            Heard(
                 node.number, _with(link, "node", node.number), node.identity,
                 _fitting(node.identity, "canopen"), note,
             )
@@ -91,7 +91,7 @@ def _canopen(link: Link, timeout: float) -> list[Found]:
 
 def _modbus(
     link: Link, units: Iterable[int], timeout: float, tell: Callable[[int], None]
-) -> list[Found]:
+) -> list[Heard]:
     from drivers.modbus.client import Client
     from drivers.modbus.survey import EVERYBODY, survey
 
@@ -105,7 +105,7 @@ def _modbus(
         there = there[:1]
     note = "answers to every unit number: it is one drive" if same else ""
     return [
-        Found(
+        Heard(
             unit.number, _with(link, "unit", unit.number),
             unit.identity if unit.identity.vendor or unit.identity.product else None,
             _fitting(unit.identity, "modbus"),

@@ -15,7 +15,7 @@ from typing import Any
 import tomlkit
 from tomlkit.toml_document import TOMLDocument
 
-from profiles.eds import Eds, Entry
+from profiles.eds import Eds, EdsEntry
 from profiles.errors import ProfileError
 
 __all__ = ["Draft", "from_eds"]
@@ -126,7 +126,7 @@ def _take_entries(document: TOMLDocument, eds: Eds) -> list[str]:
     return notes
 
 
-def _take_access(parameter: Any, entry: Entry, name: str, notes: list[str]) -> None:
+def _take_access(parameter: Any, entry: EdsEntry, name: str, notes: list[str]) -> None:
     if entry.access == "ro" and parameter.get("access") != "ro":
         if parameter.get("protection") == "command" and entry.mappable:
             notes.append(f"{name}: {entry.index:04X}h is written by PDO only")
@@ -136,7 +136,7 @@ def _take_access(parameter: Any, entry: Entry, name: str, notes: list[str]) -> N
         notes.append(f"{name}: {entry.index:04X}h is read only in this drive")
 
 
-def _take_limits(parameter: Any, entry: Entry) -> None:
+def _take_limits(parameter: Any, entry: EdsEntry) -> None:
     if parameter.get("protection") not in ("experiment", "compensation"):
         return
     bits = int((entry.type or "i32")[1:])

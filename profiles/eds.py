@@ -13,7 +13,7 @@ from pathlib import Path
 from profiles.errors import ProfileError
 from profiles.files import contents
 
-__all__ = ["DATA_TYPES", "Eds", "Entry", "Mended", "read_eds"]
+__all__ = ["DATA_TYPES", "Eds", "EdsEntry", "Mended", "read_eds"]
 
 _LARGEST = 5_000_000  # bytes
 _MOST_MENDED = 10_000
@@ -45,7 +45,7 @@ class Mended:
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class EdsEntry:
     """One variable of the object dictionary.
 
     Attributes
@@ -91,10 +91,10 @@ class Eds:
     vendor: int | None
     product: int | None
     revision: int | None
-    entries: dict[tuple[int, int], Entry]
+    entries: dict[tuple[int, int], EdsEntry]
     mended: tuple[Mended, ...]
 
-    def entry(self, index: int, sub: int = 0) -> Entry | None:
+    def entry(self, index: int, sub: int = 0) -> EdsEntry | None:
         """A variable, None where the file has none."""
         return self.entries.get((index, sub))
 
@@ -202,7 +202,7 @@ class _Reader:
 
     # -- objects -----------------------------------------------------------------------------------
 
-    def entry(self, section: _Section, index: int, sub: int) -> Entry | None:
+    def entry(self, section: _Section, index: int, sub: int) -> EdsEntry | None:
         kind = self.number(section, "ObjectType")
         data_type = self.number(section, "DataType")
         if kind not in (None, _VARIABLE) or (data_type is None and not section.text("AccessType")):
@@ -216,7 +216,7 @@ class _Reader:
             self._as_typed(self.number(section, key), name)
             for key in ("LowLimit", "HighLimit", "DefaultValue", "ParameterValue")
         )
-        return Entry(
+        return EdsEntry(
             index, sub, section.text("ParameterName"), name, _ACCESS.get(access, "ro"), default,
             value, low, high, self.number(section, "PDOMapping") == 1, section.line,
         )  # fmt: skip
@@ -251,7 +251,7 @@ def parse_eds(data: bytes, where: str) -> Eds:
             f"{where}: has no [DeviceInfo] section: this is no EDS or DCF of a device"
             + (" but a list of objects" if "1000" in sections else "")
         )
-    entries: dict[tuple[int, int], Entry] = {}
+    entries: dict[tuple[int, int], EdsEntry] = {}
     for key, section in sections.items():
         match = _OBJECT.fullmatch(key)
         if match is None:
@@ -284,7 +284,7 @@ _LISTS = ("mandatoryobjects", "optionalobjects", "manufacturerobjects")
 
 
 def _listed(
-    reader: _Reader, sections: dict[str, _Section], entries: dict[tuple[int, int], Entry]
+    reader: _Reader, sections: dict[str, _Section], entries: dict[tuple[int, int], EdsEntry]
 ) -> None:
     """Say which listed objects have no section, and which lists miscount."""
     there = {index for index, _ in entries} | {

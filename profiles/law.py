@@ -32,7 +32,7 @@ class Amount(NamedTuple):
     motor_speed: float
 
 
-class Wanted(NamedTuple):
+class TermValue(NamedTuple):
     """A value for a parameter of the compensation, SI at the axis, and why."""
 
     value: float
@@ -134,21 +134,21 @@ class Compensation(Strict):
             found |= {f"speed_{n}": point.speed, f"torque_{n}": point.torque}
         return found
 
-    def values(self, amount: Amount) -> dict[str, Wanted]:
+    def values(self, amount: Amount) -> dict[str, TermValue]:
         """What compensates `amount`, by parameter; what stays as it is in the drive is not in it."""
         found = {}
         for name, term in _TERMS.items():
             parameter, value = getattr(self, name), term.value(amount)
             if parameter is not None and value is not None:
                 sign = self.negative_sign if name == "negative" else 1
-                found[parameter] = Wanted(sign * value, term.why.format(amount.share))
+                found[parameter] = TermValue(sign * value, term.why.format(amount.share))
         for point in self.table:
             speed = point.at * amount.motor_speed
             torque = amount.coulomb + (amount.viscous or 0.0) * speed
-            found[point.speed] = Wanted(speed, "speed of a point of the table")
-            found[point.torque] = Wanted(torque, f"{amount.share} of the friction at that speed")
+            found[point.speed] = TermValue(speed, "speed of a point of the table")
+            found[point.torque] = TermValue(torque, f"{amount.share} of the friction at that speed")
         if self.points is not None:
-            found[self.points] = Wanted(float(len(self.table)), "points of the table")
+            found[self.points] = TermValue(float(len(self.table)), "points of the table")
         return found
 
     @property

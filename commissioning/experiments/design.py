@@ -12,7 +12,7 @@ from commissioning.experiments.plan import Context
 from commissioning.experiments.stopping import Stopping
 from drivers.errors import PreflightRefused
 
-__all__ = ["LONG", "SHORT", "Pace", "RelayDesign", "design", "travel_needed"]
+__all__ = ["LONG", "SHORT", "PeriodNeeds", "RelayDesign", "design", "travel_needed"]
 
 # Comfortable conditioning (method.md 2): f/d1 in 0.4–0.6, d2/d1 at least 1.5
 _D1_FRICTION, _D1_BREAKAWAY = 1.7, 1.3
@@ -27,7 +27,7 @@ _SPEED_SHARE = 0.5  # of the speed limit, at the peak of the larger test
 
 
 @dataclass(frozen=True, slots=True)
-class Pace:
+class PeriodNeeds:
     """What the reading of the oscillations asks of them.
 
     Attributes
@@ -41,8 +41,12 @@ class Pace:
     overdrive: float
 
 
-LONG = Pace(40, 40, 1.0)  # the thesis: a relay that is sampled and late has no clean limit cycle
-SHORT = Pace(12, 24, 1.15)  # modulating functions and the exact balance know sampling and dead time
+LONG = PeriodNeeds(
+    40, 40, 1.0
+)  # the thesis: a relay that is sampled and late has no clean limit cycle
+SHORT = PeriodNeeds(
+    12, 24, 1.15
+)  # modulating functions and the exact balance know sampling and dead time
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +78,7 @@ def design(
     context: Context,
     known: FirstLook,
     stopping: Stopping,
-    pace: Pace = LONG,
+    pace: PeriodNeeds = LONG,
     *,
     longest_period: float = 2.0,
 ) -> RelayDesign:
@@ -120,7 +124,7 @@ class _Pair:
     """Both tests with amplitudes that are chosen; which period fits where."""
 
     context: Context
-    pace: Pace
+    pace: PeriodNeeds
     d1: float
     d2: float
     friction: float
@@ -225,7 +229,7 @@ def _up(value: float) -> str:
     return f"{ceil(value / step) * step:.6g}"
 
 
-def _overdrive(context: Context, known: FirstLook, pace: Pace, d2: float) -> float:
+def _overdrive(context: Context, known: FirstLook, pace: PeriodNeeds, d2: float) -> float:
     """Largest torque about the bias, N.m or N."""
     most = context.torque - abs(known.offset) - context.torque_resolution
     return max(min(pace.overdrive * d2, most), d2)

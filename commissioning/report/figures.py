@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from commissioning.identification.describing_function import equivalent, inverse_locus, relay
 from commissioning.result.document import RunResult
-from commissioning.result.experiment import Cycle
+from commissioning.result.experiment import Oscillated
 from commissioning.result.found import Units
 from commissioning.result.words import number
 from commissioning.result.worth import GainSet, Verification
@@ -117,7 +117,7 @@ def tests_over_time(samples: Samples, result: RunResult) -> str:
         return _svg(figure)
 
 
-def oscillations(result: RunResult) -> tuple[Cycle, ...]:
+def oscillations(result: RunResult) -> tuple[Oscillated, ...]:
     """One oscillation at each of the two amplitudes; empty where the run did not get there."""
     cycles = result.experiment.cycles if result.experiment else ()
     return cycles[:2] if len(cycles) >= 2 else ()
@@ -390,7 +390,7 @@ def _locus(axes: Axes, values: NDArray[Any], color: str, dash: str, label: str) 
     axes.plot(values.real, values.imag, color=color, ls=dash, lw=1.2, label=label)
 
 
-def _window(samples: Samples, cycle: Cycle) -> NDArray[np.intp]:
+def _window(samples: Samples, cycle: Oscillated) -> NDArray[np.intp]:
     """Indices of the last few periods of an oscillation."""
     first = max(cycle.begin, cycle.end - _SHOWN_PERIODS * cycle.period)
     time = samples.time

@@ -14,7 +14,7 @@ from commissioning.identification.reasons import Reason, Verdict
 from commissioning.result.changes import Change, Host, Written
 from commissioning.result.endings import Ending, Error
 from commissioning.result.experiment import Experiment
-from commissioning.result.found import CriticalPoints, Found, Mechanics, Quantity, Units
+from commissioning.result.found import CriticalPoints, DriveTrain, Found, Quantity, Units
 from commissioning.result.kinds import Text
 from commissioning.result.readings import Methods
 from commissioning.result.worth import GainSet, Verification
@@ -90,7 +90,7 @@ class RunResult:
     profile: ProfileMark | None = None
     identity: Identity | None = None
     friction: Found = field(default_factory=Found)
-    mechanics: Mechanics | None = None
+    mechanics: DriveTrain | None = None
     methods: Methods = field(default_factory=Methods)
     critical_point: CriticalPoints | None = None
     tuning: tuple[GainSet, ...] = ()

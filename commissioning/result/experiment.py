@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 from commissioning.result.kinds import Count, Finite, Pair, Positive, Text
 
-__all__ = ["Allowed", "Bases", "Cycle", "Experiment", "FirstLook", "Setup"]
+__all__ = ["Allowed", "Bases", "Experiment", "FirstLookReading", "Oscillated", "Setup"]
 
 
 @dataclass(frozen=True, slots=True)
-class Cycle:
+class Oscillated:
     """One oscillation: of a relay, or of an oscillator, which has no hysteresis.
 
     Attributes
@@ -45,7 +45,7 @@ class Allowed:
 
 
 @dataclass(frozen=True, slots=True)
-class FirstLook:
+class FirstLookReading:
     """What short pushes told before the oscillations."""
 
     breakaway: Finite
@@ -79,7 +79,7 @@ class Setup:
     turnaround: Finite
     resolution: Finite
     bases: Bases
-    first_look: FirstLook
+    first_look: FirstLookReading
     loop_lag: Finite = 0.0
 
 
@@ -108,7 +108,7 @@ class Experiment:
     lost_share: Finite
     travel: Finite
     limits: Allowed | None = None
-    cycles: tuple[Cycle, ...] = ()
+    cycles: tuple[Oscillated, ...] = ()
     complex_coulomb: Pair | None = None
     tests: Count = 0
     repeats: tuple[Finite, ...] = ()

@@ -12,8 +12,8 @@ __all__ = [
     "QUANTITIES",
     "CriticalPoints",
     "Curve",
+    "DriveTrain",
     "Found",
-    "Mechanics",
     "Point",
     "Quantity",
     "Units",
@@ -125,7 +125,7 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True)
-class Mechanics:
+class DriveTrain:
     """What the axis shows beside a rigid body: two masses, play.
 
     Attributes

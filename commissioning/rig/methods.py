@@ -11,7 +11,7 @@ import numpy as np
 
 from commissioning.errors import MeasurementRejected
 from commissioning.experiments.approach import approach
-from commissioning.experiments.design import LONG, SHORT, Pace
+from commissioning.experiments.design import LONG, SHORT, PeriodNeeds
 from commissioning.experiments.oscillations import Oscillations, Stretch, oscillations
 from commissioning.experiments.oscillator import Held, Wave
 from commissioning.experiments.plan import Plan
@@ -377,7 +377,7 @@ class Method:
     """
 
     name: MethodName
-    pace: Pace
+    pace: PeriodNeeds
     run: Callable[[Ready], Measured]
     read: Callable[[Any], Any] | None = None
 

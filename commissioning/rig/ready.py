@@ -8,7 +8,7 @@ from typing import TypeVar
 from commissioning.desk import Options
 from commissioning.envelope import Envelope
 from commissioning.errors import EnvelopeTripped, FeedbackReversed, MeasurementRejected
-from commissioning.experiments.design import Pace, RelayDesign, design
+from commissioning.experiments.design import PeriodNeeds, RelayDesign, design
 from commissioning.experiments.first_look import FirstLook
 from commissioning.experiments.plan import Context, Plan
 from commissioning.experiments.stopping import Stopping
@@ -49,7 +49,7 @@ class Ready:
     envelope: Envelope
     known: FirstLook
     stopping: Stopping
-    pace: Pace
+    pace: PeriodNeeds
     design: RelayDesign
     duration: float
 
@@ -63,7 +63,7 @@ class Ready:
         envelope: Envelope,
         known: FirstLook,
         stopping: Stopping,
-        pace: Pace,
+        pace: PeriodNeeds,
     ) -> Ready:
         """Choose the oscillations, and what the envelope must allow for them.
 

@@ -15,7 +15,7 @@ from commissioning.identification.modulating import ModulatingEstimate
 from commissioning.identification.reasons import Reason, Weight, verdict, weightiest_first
 from commissioning.identification.steady import SteadyFit
 from commissioning.result.document import Quality, RunResult
-from commissioning.result.experiment import Allowed, Cycle, Experiment
+from commissioning.result.experiment import Allowed, Experiment, Oscillated
 from commissioning.result.found import (
     QUANTITIES,
     CriticalPoints,
@@ -151,14 +151,14 @@ def _point(point: CriticalPoint | None) -> Point | None:
 # -- the experiment ---------------------------------------------------------------------------------
 
 
-def cycles(shown: Sequence[Oscillation], begin: float) -> tuple[Cycle, ...]:
+def cycles(shown: Sequence[Oscillation], begin: float) -> tuple[Oscillated, ...]:
     """The oscillations that the report shows; `begin`: of the record, s."""
     names = (
         "relay_amplitude", "hysteresis", "bias", "half_swing", "fundamental", "duty", "periods",
         "settled",
     )  # fmt: skip
     return tuple(
-        Cycle(
+        Oscillated(
             one.name,
             one.cycle.period,
             one.span[0] - begin,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from commissioning.desk import Desk, Options
 from commissioning.envelope import Envelope
 from commissioning.experiments.creep import balancing_torque
-from commissioning.experiments.design import Pace
+from commissioning.experiments.design import PeriodNeeds
 from commissioning.experiments.first_look import STEPS, FirstLook, first_look, torque_steps
 from commissioning.experiments.plan import Context, stand
 from commissioning.experiments.stopping import Stopping, run_up
@@ -126,7 +126,7 @@ class Rig:
 
     # -- work ------------------------------------------------------------------------------------
 
-    def prepare(self, pace: Pace) -> Ready:
+    def prepare(self, pace: PeriodNeeds) -> Ready:
         """All that comes before the oscillations: first motions, proof of the stop path, design."""
         context, envelope, known = self._first_look()
         stopping = self._prove_stop(context, envelope, known)

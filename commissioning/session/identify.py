@@ -19,7 +19,7 @@ from commissioning.identification.critical_point import (
 from commissioning.identification.reasons import Reason, Weight
 from commissioning.identification.verdict import dwell_share, is_unsigned, of_torque, torque_gain
 from commissioning.result.document import RunResult
-from commissioning.result.experiment import Bases, Experiment, FirstLook, Setup
+from commissioning.result.experiment import Bases, Experiment, FirstLookReading, Setup
 from commissioning.rig.armed import in_a_run
 from commissioning.rig.measured import Measured
 from commissioning.rig.methods import methods_of, repeated
@@ -90,7 +90,7 @@ def _setup(rig: Rig, measured: Measured) -> Setup:
         _turnaround(rig.recorder),
         rig.context.resolution,
         Bases(scaling.rated_torque, scaling.increments_per_revolution, scaling.torque_constant),
-        FirstLook(
+        FirstLookReading(
             known.breakaway, known.coulomb, known.offset, known.viscous, known.inertia,
             known.dead_time,
         ),

@@ -22,7 +22,7 @@ from commissioning.tuning.controllers import Gains
 from commissioning.tuning.plant import LoopPlant
 from commissioning.tuning.proposals import AxisKnown, CannotHold, Hold, Proposal, proposals
 from commissioning.tuning.rules import Cascade
-from commissioning.tuning.step import Friction, Response
+from commissioning.tuning.step import Friction, StepCourse
 from drivers.described import Parameters, described
 from drivers.errors import WriteFailed
 from drivers.scaling import Scaling
@@ -287,7 +287,7 @@ def _finite(value: float) -> float | None:
     return value if isfinite(value) else None
 
 
-def _curve(step: Response) -> Array:
+def _curve(step: StepCourse) -> Array:
     """Time and position, thinned for a picture, (2, n)."""
     stride = max(len(step.time) // _SHOWN, 1)
     return np.stack((np.asarray(step.time)[::stride], np.asarray(step.position)[::stride]))

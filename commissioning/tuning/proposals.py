@@ -29,7 +29,7 @@ from commissioning.tuning.rules import (
     ziegler_nichols_pi,
     ziegler_nichols_pid,
 )
-from commissioning.tuning.step import Friction, Response, step
+from commissioning.tuning.step import Friction, StepCourse, step
 
 __all__ = [
     "FEWEST_CYCLES",
@@ -38,9 +38,9 @@ __all__ = [
     "CannotHold",
     "Hold",
     "LoopName",
+    "NotProposed",
     "Proposal",
     "Source",
-    "WhyNot",
     "proposals",
 ]
 
@@ -91,7 +91,7 @@ class AxisKnown:
 
 
 @dataclass(frozen=True, slots=True)
-class WhyNot:
+class NotProposed:
     """Why a set of gains is not proposed: a stable name, and one line for people."""
 
     code: str
@@ -119,8 +119,8 @@ class Proposal:
     point: CriticalPoint | None
     gains: Gains | None
     margins: Margins | None
-    step: Response | None
-    why_not: WhyNot | None
+    step: StepCourse | None
+    why_not: NotProposed | None
 
     @property
     def proposed(self) -> bool:
@@ -140,7 +140,7 @@ class CannotHold(Exception):
 
     def __init__(self, code: str, text: str) -> None:
         super().__init__(text)
-        self.why = WhyNot(code, text)
+        self.why = NotProposed(code, text)
 
 
 def _as_they_are(gains: Gains) -> Gains:
@@ -296,7 +296,7 @@ def _one(rule: str, source: Source, points: _Points, hold: Hold) -> Proposal:
     try:
         point, gains = _MAKE[rule](points, source)
     except _NotHere as error:
-        why = WhyNot("gains.no-point", str(error))
+        why = NotProposed("gains.no-point", str(error))
         return Proposal(rule, points.loop, source, None, None, None, None, why)
     cannot = None
     try:
@@ -311,46 +311,54 @@ def _one(rule: str, source: Source, points: _Points, hold: Hold) -> Proposal:
         moved = step(points.plant, gains, points.known.friction, size, crossover)
     why_not = _why_not(worth, moved, points.known) or cannot
     if why_not is None and source == "naive":
-        why_not = WhyNot("gains.distorted", "from the point as a relay autotuner reads it")
+        why_not = NotProposed("gains.distorted", "from the point as a relay autotuner reads it")
     return Proposal(rule, points.loop, source, point, gains, worth, moved, why_not)
 
 
-def _why_not(worth: Margins, moved: Response | None, known: AxisKnown) -> WhyNot | None:
+def _why_not(worth: Margins, moved: StepCourse | None, known: AxisKnown) -> NotProposed | None:
     """Why a set is not proposed."""
     goal = known.travel * _STEP_SHARE
     checks = (
-        (not worth.stable, "unstable", "the loop is unstable"),
-        (worth.phase is None, "no-crossover", "the loop's gain never passes 1"),
+        (not worth.stable, NotProposed("gains.unstable", "the loop is unstable")),
+        (
+            worth.phase is None,
+            NotProposed("gains.no-crossover", "the loop's gain never passes 1"),
+        ),
         (
             worth.phase is not None and worth.phase < LEAST_MARGIN,
-            "margin",
-            f"its phase margin is below {LEAST_MARGIN:g}°",
+            NotProposed("gains.margin", f"its phase margin is below {LEAST_MARGIN:g}°"),
         ),
         (
             worth.sensitivity > MOST_SENSITIVITY,
-            "sensitivity",
-            f"its sensitivity Ms is above {MOST_SENSITIVITY:g}",
+            NotProposed("gains.sensitivity", f"its sensitivity Ms is above {MOST_SENSITIVITY:g}"),
         ),
         (
             worth.crossover is not None and worth.crossover > _SEEN * known.seen,
-            "too-fast",
-            f"the axis was seen up to {known.seen:.3g} rad/s, and may have a resonance beyond",
+            NotProposed(
+                "gains.too-fast",
+                f"the axis was seen up to {known.seen:.3g} rad/s, and may have a resonance beyond",
+            ),
         ),
         (
             moved is not None and abs(moved.error) + moved.hunting > _STUCK * goal,
-            "off-goal",
-            "friction stops the axis short of its goal, or it hunts about it",
+            NotProposed(
+                "gains.off-goal", "friction stops the axis short of its goal, or it hunts about it"
+            ),
         ),
         (
             moved is not None and moved.overshoot > _OVERSHOOT,
-            "overshoots",
-            f"it overshoots by more than {100 * _OVERSHOOT:.0f} % with this friction and torque limit",
+            NotProposed(
+                "gains.overshoots",
+                f"it overshoots by more than {100 * _OVERSHOOT:.0f} % with this friction and torque "
+                "limit",
+            ),
         ),
         (
             moved is not None and moved.settling is None,
-            "unsettled",
-            "it does not stay within 2 % of the step while it was followed",
+            NotProposed(
+                "gains.unsettled",
+                "it does not stay within 2 % of the step while it was followed",
+            ),
         ),
     )
-    found = ((code, text) for applies, code, text in checks if applies)
-    return next((WhyNot(f"gains.{code}", text) for code, text in found), None)
+    return next((why for applies, why in checks if applies), None)

@@ -16,7 +16,7 @@ from commissioning.tuning.controllers import Gains, law
 from commissioning.tuning.plant import LoopPlant
 from drivers.virtual.plant import Plant, PlantParameters
 
-__all__ = ["Friction", "Response", "step"]
+__all__ = ["Friction", "StepCourse", "step"]
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class Friction:
 
 
 @dataclass(frozen=True, slots=True)
-class Response:
+class StepCourse:
     """What the axis does after a step of the reference.
 
     Attributes
@@ -72,7 +72,7 @@ class Response:
 
 def step(
     plant: LoopPlant, gains: Gains, friction: Friction, size: float, crossover: float
-) -> Response:
+) -> StepCourse:
     """Follow a step of `size` (rad or m) for some periods of `crossover` (rad/s)."""
     axis = Plant(
         PlantParameters(
@@ -111,7 +111,7 @@ def step(
     return _told(positions, size, cycle, resolution)
 
 
-def _told(positions: Array, size: float, cycle: float, resolution: float) -> Response:
+def _told(positions: Array, size: float, cycle: float, resolution: float) -> StepCourse:
     time = np.asarray(np.arange(len(positions)) * cycle, np.float64)
     tail = positions[-max(int(_TAIL * len(positions)), 2) :]
     swing = float(np.ptp(tail)) / 2
@@ -119,7 +119,7 @@ def _told(positions: Array, size: float, cycle: float, resolution: float) -> Res
     outside = np.flatnonzero(np.abs(positions - size) > band)
     last = int(outside[-1]) + 1 if len(outside) else 0
     stride = max(len(positions) // _SHOWN, 1)
-    return Response(
+    return StepCourse(
         size,
         max(float(positions.max()) / size - 1, 0.0),
         float(time[last]) if last < len(positions) - len(tail) // 2 else None,

@@ -15,26 +15,26 @@ from drivers.modbus.bus import identify
 from drivers.modbus.client import Client, NoAnswer
 from profiles.identity import NOBODY, Identity
 
-__all__ = ["EVERYBODY", "Unit", "is_there", "survey"]
+__all__ = ["EVERYBODY", "HeardUnit", "is_there", "survey"]
 
 _GATEWAY = (10, 11)  # gateway path unavailable, target failed to respond
 _SUSPICIOUS, _FAR = 4, 3  # units that answer, from the first on, and from the last
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
+class HeardUnit:
     """A unit that answers; its identity by FC 43/14, with empty texts where it has none."""
 
     number: int
     identity: Identity
 
 
-EVERYBODY = Unit(-1, NOBODY)  # after the others: every number answers, so it is one drive
+EVERYBODY = HeardUnit(-1, NOBODY)  # after the others: every number answers, so it is one drive
 
 
 def survey(
     client: Client, units: Iterable[int], timeout: float, tell: Callable[[int], None]
-) -> Iterator[Unit]:
+) -> Iterator[HeardUnit]:
     """Units of `units` that answer; `tell` hears each number before it is asked. Raises LinkLost.
 
     Where the first few all answer, and so do some far away, it is one drive that does not look at the number:
@@ -62,7 +62,9 @@ def _are_there(client: Client, left: list[int], timeout: float) -> bool:
     return len(left) >= _FAR
 
 
-def _asked(client: Client, number: int, timeout: float, tell: Callable[[int], None]) -> Unit | None:
+def _asked(
+    client: Client, number: int, timeout: float, tell: Callable[[int], None]
+) -> HeardUnit | None:
     tell(number)
     client.turn_to(number)
     if not is_there(client, timeout):
@@ -71,7 +73,7 @@ def _asked(client: Client, number: int, timeout: float, tell: Callable[[int], No
         found = identify(client)
     except (AccessDenied, LinkError):  # it answers to registers, and not to this
         found = NOBODY
-    return Unit(number, found)
+    return HeardUnit(number, found)
 
 
 def is_there(client: Client, timeout: float) -> bool:

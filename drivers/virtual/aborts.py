@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.virtual.firmware import DenialReason
+from drivers.virtual.states import DenialReason
 
 __all__ = ["DENIALS", "Abort"]
 

@@ -25,17 +25,12 @@ from drivers.virtual.aborts import (
 from drivers.virtual.block_upload import BlockUpload
 from drivers.virtual.device import Device
 from drivers.virtual.dictionary import OWN, Dictionary
-from drivers.virtual.firmware import (
-    ERROR_COMMUNICATION,
-    ERROR_HEARTBEAT,
-    ERROR_PDO_TIMEOUT,
-    Denied,
-)
 from drivers.virtual.mirror import Mirror
-from drivers.virtual.node_pdo import OFF, Pdo
+from drivers.virtual.node_pdo import OFF, NodePdo
 from drivers.virtual.own_eds import own_eds
+from drivers.virtual.states import ERROR_COMMUNICATION, ERROR_HEARTBEAT, ERROR_PDO_TIMEOUT, Denied
 
-__all__ = ["Abort", "CanopenNode", "Frame", "Pdo"]
+__all__ = ["CanopenNode", "Frame"]
 
 _MS = 1_000_000  # ns
 
@@ -93,12 +88,12 @@ class CanopenNode:
     def _reset_pdos(self) -> None:
         n = self.node_id
         self._rpdos = [
-            Pdo(0x200 + n, 255, [0x60400010]),
-            Pdo(OFF | 0x300 + n, 255, [0x60400010, 0x60600008]),
+            NodePdo(0x200 + n, 255, [0x60400010]),
+            NodePdo(OFF | 0x300 + n, 255, [0x60400010, 0x60600008]),
         ]
         self._tpdos = [
-            Pdo(0x180 + n, 255, [0x60410010]),
-            Pdo(OFF | 0x280 + n, 255, [0x60410010, 0x60610008]),
+            NodePdo(0x180 + n, 255, [0x60410010]),
+            NodePdo(OFF | 0x280 + n, 255, [0x60410010, 0x60610008]),
         ]
 
     def boot(self) -> list[Frame]:
@@ -186,7 +181,7 @@ class CanopenNode:
                 if pdo.active and pdo.transmission >= _EVENT:
                     self._event(pdo, now - pdo.since)
 
-    def _event(self, pdo: Pdo, since: int) -> None:
+    def _event(self, pdo: NodePdo, since: int) -> None:
         """Send an event-driven TPDO whose values have changed, or whose event timer has run out.
 
         `since`: it was sent last, ns.
@@ -197,7 +192,7 @@ class CanopenNode:
 
     # -- PDO -----------------------------------------------------------------------------------------
 
-    def _take_rpdo(self, pdo: Pdo, data: bytes) -> None:
+    def _take_rpdo(self, pdo: NodePdo, data: bytes) -> None:
         pdo.since = self.device.firmware.now
         pdo.armed = True
         if pdo.transmission <= 240:
@@ -205,7 +200,7 @@ class CanopenNode:
         else:
             self._apply(pdo, data)
 
-    def _apply(self, pdo: Pdo, data: bytes) -> None:
+    def _apply(self, pdo: NodePdo, data: bytes) -> None:
         wanted = sum(length for _, length in pdo.mapped(self._dictionary))
         if len(data) < wanted:
             self._emergency(0x8210)  # PDO not processed: length
@@ -236,12 +231,12 @@ class CanopenNode:
                     pdo.syncs = 0
                     self._send_tpdo(pdo)
 
-    def _send_tpdo(self, pdo: Pdo) -> None:
+    def _send_tpdo(self, pdo: NodePdo) -> None:
         pdo.since = self.device.firmware.now
         pdo.sent = self._packed(pdo)
         self._send(pdo.cob_id & 0x7FF, pdo.sent)
 
-    def _packed(self, pdo: Pdo) -> bytes:
+    def _packed(self, pdo: NodePdo) -> bytes:
         return b"".join(
             struct.pack("<" + entry.code, self._mirror.value(entry))
             for entry, _ in pdo.mapped(self._dictionary)
@@ -447,10 +442,10 @@ class CanopenNode:
             raise Abort(ABORT_LENGTH)
         return int(struct.unpack("<" + code, data[:size])[0])
 
-    def _write_pdo(self, pdo: Pdo, index: int, sub: int, data: bytes) -> None:
+    def _write_pdo(self, pdo: NodePdo, index: int, sub: int, data: bytes) -> None:
         pdo.write(index, sub, data, self._dictionary.objects)
 
-    def _pdo(self, index: int) -> Pdo | None:
+    def _pdo(self, index: int) -> NodePdo | None:
         for base, pdos in (
             (0x1400, self._rpdos),
             (0x1600, self._rpdos),

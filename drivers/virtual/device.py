@@ -10,7 +10,8 @@ from __future__ import annotations
 import time
 from typing import Literal
 
-from drivers.virtual.firmware import SECOND, DenialReason, Denied, Firmware
+from drivers.virtual.firmware import SECOND, Firmware
+from drivers.virtual.states import DenialReason, Denied
 
 __all__ = ["Clock", "Device"]
 

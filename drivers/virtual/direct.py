@@ -13,10 +13,11 @@ from drivers.bus import Exchange
 from drivers.errors import AccessDenied, WriteDenied
 from drivers.serial_port import Stream
 from drivers.virtual.device import Device
-from drivers.virtual.firmware import SECOND, DenialReason, Denied
+from drivers.virtual.firmware import SECOND
 from drivers.virtual.habits import NONE, Habits
 from drivers.virtual.modbus_identity import PRODUCT, REVISION, VENDOR
 from drivers.virtual.registers import RegisterMap
+from drivers.virtual.states import DenialReason, Denied
 from profiles.address import Address, ModbusAddress
 from profiles.errors import UsageError
 from profiles.identity import Identity

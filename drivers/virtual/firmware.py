@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from enum import Enum, auto
 from math import pi
 
 from drivers.virtual.axes import VirtualAxis
+from drivers.virtual.compensation import compensation
+from drivers.virtual.interpolator import Interpolator
 from drivers.virtual.loops import TICK, Loops, as_delivered
 from drivers.virtual.memory import Memory
 from drivers.virtual.objects import (
@@ -21,8 +22,16 @@ from drivers.virtual.objects import (
     MODES,
     objects,
 )
+from drivers.virtual.states import (
+    ERROR_COMMUNICATION,
+    ERROR_FOLLOWING,
+    ERROR_OVERSPEED,
+    DenialReason,
+    Denied,
+    State,
+)
 
-__all__ = ["DenialReason", "Denied", "Firmware", "State"]
+__all__ = ["Firmware"]
 
 SECOND = 1_000_000_000  # ns
 _HALF_TURN_OF_I32 = 1 << 31  # a 32-bit position counter rolls over
@@ -39,41 +48,6 @@ _REST_SPEED_SHARE = 2e-4  # of the speed limit: slower than this counts as stand
 
 _GAINS = ("velocity_gain", "integral_time", "position_gain")
 _TORQUE_MODES = (MODE_PROFILE_TORQUE, MODE_CYCLIC_TORQUE)
-
-ERROR_COMMUNICATION = 0x8100
-ERROR_HEARTBEAT = 0x8130
-ERROR_PDO_TIMEOUT = 0x8250
-ERROR_FOLLOWING = 0x8611
-ERROR_OVERSPEED = 0x8400
-
-
-class State(Enum):
-    """Power state machine of CiA 402; the value is the statusword's state bits."""
-
-    SWITCH_ON_DISABLED = 0x40
-    READY_TO_SWITCH_ON = 0x21
-    SWITCHED_ON = 0x23
-    OPERATION_ENABLED = 0x27
-    QUICK_STOP_ACTIVE = 0x07
-    FAULT_REACTION_ACTIVE = 0x0F
-    FAULT = 0x08
-
-
-class DenialReason(Enum):
-    """Why the drive does not take a value."""
-
-    NO_OBJECT = auto()
-    READ_ONLY = auto()
-    RANGE = auto()
-    STATE = auto()
-
-
-class Denied(Exception):
-    """The drive refuses an access; adapters turn it into their bus' answer."""
-
-    def __init__(self, reason: DenialReason) -> None:
-        super().__init__(reason.name)
-        self.reason = reason
 
 
 class Firmware:
@@ -128,11 +102,7 @@ class Firmware:
         self._after_stop = State.SWITCH_ON_DISABLED
         self._loop = self._tuned()
         self._stopping = Loops(*as_delivered(axis))  # the stop does not hang on what a user tunes
-        self._interpolation = round(axis.cycle * SECOND)
-        self._position_from = 0.0
-        self._position_step = 0.0
-        self._position_command = 0.0
-        self._arrived_at = 0
+        self._path = Interpolator(round(axis.cycle * SECOND))
         self._stop_by = _NEVER
         self._word_before = 0
 
@@ -436,19 +406,11 @@ class Firmware:
                 self._requested = self._torque_command = torque
 
     def _take_position(self, increments: int) -> None:
-        target = increments * self._resolution
-        interval = self.now - self._arrived_at
-        self._arrived_at = self.now
-        if 0 < interval <= SECOND // 5:
-            self._interpolation = interval
-        self._position_from = self._position_command
-        self._position_step = (target - self._position_command) / self._interpolation
+        self._path.take(increments * self._resolution, self.now)
 
     def _hold_here(self) -> None:
-        self._position_command = self._position_from = self.plant.position
-        self._position_step = 0.0
+        self._path.hold(self.plant.position, self.now)
         self.values["position_target"] = self.position
-        self._arrived_at = self.now
         self._tick_at = self.now
         self._loop.reset(0.0)
 
@@ -529,8 +491,9 @@ class Firmware:
             return
         plant, loop, limit = self.plant, self._loop, self._speed_limit
         if mode == MODE_CYCLIC_POSITION:
-            velocity = self._interpolate()
-            error = self._position_command - plant.position
+            target = self.values["position_target"] * self._resolution
+            velocity = self._path.advance(target, self.now)
+            error = self._path.command - plant.position
             if abs(error) > self.values["following_window"] * self._resolution:
                 self.trip(ERROR_FOLLOWING)
                 return
@@ -539,18 +502,10 @@ class Firmware:
             velocity = self.values["velocity_target"] * self._resolution
             wanted = velocity
         wanted = max(-limit, min(limit, wanted))
-        torque = loop.velocity_control(wanted, plant.velocity) + self._compensation(velocity)
+        torque = loop.velocity_control(wanted, plant.velocity) + compensation(
+            self.values, velocity, self.axis.rated
+        )
         self._set_limited(torque)
-
-    def _interpolate(self) -> float:
-        """Advance the position command towards its target; return its velocity."""
-        left = self._arrived_at + self._interpolation - self.now
-        if left <= 0:
-            self._position_command = self.values["position_target"] * self._resolution
-            return 0.0
-        elapsed = self.now - self._arrived_at
-        self._position_command = self._position_from + self._position_step * elapsed
-        return self._position_step * SECOND
 
     def _tick_torque(self, mode: int) -> None:
         if mode == MODE_PROFILE_TORQUE:
@@ -575,18 +530,6 @@ class Firmware:
             if not self._energised:
                 return
         self._set_limited(self._stopping.velocity_control(0.0, self.plant.velocity))
-
-    def _compensation(self, velocity_command: float) -> float:
-        """Friction compensation by the direction of the velocity command, N.m or N."""
-        values = self.values
-        torque = values["torque_offset"] * self._unit
-        threshold = values["coulomb_speed"] * _TENTH_RPM
-        share = min(abs(velocity_command) / threshold, 1.0) if threshold else 1.0
-        if velocity_command > 0:
-            torque += share * values["coulomb_positive"] * self._unit
-        elif velocity_command < 0:
-            torque -= share * values["coulomb_negative"] * self._unit
-        return torque + values["viscous_gain"] * 1e-5 * self.axis.rated * velocity_command
 
     def _set_limited(self, torque: float) -> None:
         limit = self.values["max_torque"] * self._unit

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from drivers.virtual.device import Device
-from drivers.virtual.firmware import SECOND, DenialReason, Denied, State
+from drivers.virtual.firmware import SECOND
 from drivers.virtual.habits import Habits
 from drivers.virtual.mirror import Entry, Mirror
+from drivers.virtual.states import DenialReason, Denied, State
 from drivers.virtual.switchgear import Switchgear
 
 __all__ = ["HabitualMirror", "mirror_of"]

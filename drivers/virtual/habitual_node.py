@@ -10,11 +10,12 @@ from drivers.virtual.aborts import Abort
 from drivers.virtual.canopen_node import CanopenNode, Frame
 from drivers.virtual.device import Device
 from drivers.virtual.dictionary import OWN, Dictionary
-from drivers.virtual.firmware import SECOND, State
+from drivers.virtual.firmware import SECOND
 from drivers.virtual.habits import NONE, Habits
 from drivers.virtual.habitual_mirror import mirror_of
 from drivers.virtual.mirror import Entry
-from drivers.virtual.node_pdo import Pdo
+from drivers.virtual.node_pdo import NodePdo
+from drivers.virtual.states import State
 
 __all__ = ["HabitualNode"]
 
@@ -133,7 +134,7 @@ class HabitualNode(CanopenNode):
         if code or "mute-reset" not in self._habits:
             super()._emergency(code)
 
-    def _send_tpdo(self, pdo: Pdo) -> None:
+    def _send_tpdo(self, pdo: NodePdo) -> None:
         every = self._habits.number("lost-tpdo")
         self._tpdos_sent += 1
         before = len(self._outbox)
@@ -215,7 +216,7 @@ class HabitualNode(CanopenNode):
             return
         super()._write(index, sub, data, sized=sized)
 
-    def _write_pdo(self, pdo: Pdo, index: int, sub: int, data: bytes) -> None:
+    def _write_pdo(self, pdo: NodePdo, index: int, sub: int, data: bytes) -> None:
         if "locked-pdo" in self._habits and self.state != _PRE_OPERATIONAL:
             raise Abort(_STATE)
         if "fixed-pdo" in self._habits and index & 0x0200:

@@ -6,8 +6,8 @@ import struct
 from collections.abc import Mapping
 from typing import Protocol
 
-from drivers.virtual.firmware import Denied
 from drivers.virtual.mirror import Entry
+from drivers.virtual.states import Denied
 from profiles.procedures import Mailbox
 
 __all__ = ["VirtualMailbox"]

@@ -7,7 +7,7 @@ from math import isfinite
 from typing import NamedTuple
 
 from drivers.virtual.device import Device
-from drivers.virtual.firmware import DenialReason, Denied
+from drivers.virtual.states import DenialReason, Denied
 from drivers.virtual.switchgear import Switchgear
 
 __all__ = ["Entry", "Mirror"]

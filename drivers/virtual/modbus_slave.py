@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from drivers.virtual.firmware import DenialReason, Denied
 from drivers.virtual.registers import RegisterMap
+from drivers.virtual.states import DenialReason, Denied
 
 __all__ = ["READ_IDENTIFICATION", "ModbusSlave", "Refusal"]
 

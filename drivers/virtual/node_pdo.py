@@ -18,7 +18,7 @@ from drivers.virtual.aborts import (
 from drivers.virtual.dictionary import Dictionary
 from drivers.virtual.mirror import Entry
 
-__all__ = ["OFF", "Pdo"]
+__all__ = ["OFF", "NodePdo"]
 
 OFF = 1 << 31
 _IDENTIFIER = (1 << 30) - 1  # of a COB-ID: may not change while the PDO exists
@@ -28,7 +28,7 @@ Objects = Mapping[tuple[int, int], Entry]
 
 
 @dataclass
-class Pdo:
+class NodePdo:
     """Communication and mapping parameters of one PDO."""
 
     cob_id: int

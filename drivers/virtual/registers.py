@@ -10,12 +10,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from drivers.virtual.device import Device
-from drivers.virtual.firmware import DenialReason, Denied
 from drivers.virtual.habits import NONE, Habits
 from drivers.virtual.habitual_mirror import mirror_of
 from drivers.virtual.mailbox import VirtualMailbox
 from drivers.virtual.mirror import Entry
 from drivers.virtual.modbus_identity import PRODUCT, REVISION, VENDOR
+from drivers.virtual.states import DenialReason, Denied
 from drivers.virtual.switchgear import Switchgear
 from profiles.procedures import Mailbox
 

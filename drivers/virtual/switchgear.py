@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from drivers.virtual.device import Device
-from drivers.virtual.firmware import State
 from drivers.virtual.objects import MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE
+from drivers.virtual.states import State
 from profiles.procedures import Condition, Mode, Power, Step
 from profiles.schema import Profile
 

@@ -14,7 +14,7 @@ import pytest
 import commissioning.guardian
 from commissioning.guardian import Guardian, guarded
 from commissioning.journal import Journal
-from commissioning.records import Context
+from commissioning.records import RunContext
 from commissioning.rig.armed import noted
 from drivers.drive import StopReport
 from drivers.errors import DriveFault, LinkError, LinkLost, PreflightRefused
@@ -66,7 +66,7 @@ def begun(axis: Axis) -> str:
             profile="p",
             profile_hash="",
             serial="",
-            context=Context("{}", 0.85),
+            context=RunContext("{}", 0.85),
         )
 
 

@@ -16,7 +16,7 @@ import pytest
 from commissioning import journal_file
 from commissioning.errors import JournalError
 from commissioning.journal import RESTORED, STORED, STORING, Journal
-from commissioning.records import Context, history_of, history_tree
+from commissioning.records import RunContext, history_of, history_tree
 from commissioning.settings import Settings, put_back, settle
 from drivers.drive import Drive, Value
 from drivers.errors import LinkLost
@@ -41,7 +41,7 @@ def drive() -> Iterator[Drive]:
 def begin(journal: Journal, serial: str = "1") -> str:
     return journal.begin(
         axis="bench", link="virtual://bench", profile="p", profile_hash="h", serial=serial,
-        context=Context("{}"),
+        context=RunContext("{}"),
     )  # fmt: skip
 
 
@@ -176,7 +176,7 @@ def test_stores_are_counted_for_each_drive(tmp_path: Path) -> None:
                 profile="p",
                 profile_hash="h",
                 serial=serial,
-                context=Context("{}"),
+                context=RunContext("{}"),
             )
             for serial in ("0x1", "0x2")
         )
@@ -377,7 +377,7 @@ def test_stores_of_drives_without_a_serial_are_counted_by_link(tmp_path: Path, s
                 profile="p",
                 profile_hash="h",
                 serial=serial,
-                context=Context("{}"),
+                context=RunContext("{}"),
             )
             for link in ("modbus-tcp://a", "modbus-tcp://b")
         )

@@ -11,11 +11,11 @@ import pytest
 from commissioning.desk import Options
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
-from commissioning.records import Context
+from commissioning.records import RunContext
 from commissioning.rig import preflight
 from commissioning.rig.preflight import Limits, choose_limits, look, prove_watchdog, writes
 from commissioning.settings import Settings
-from drivers.drive import DriveState, Value
+from drivers.drive import DriveSays, Value
 from drivers.errors import DriveFault, PreflightRefused
 from drivers.link import axis_of, open_drive
 from drivers.profiled import ProfiledDrive
@@ -45,7 +45,7 @@ def changed(drive: ProfiledDrive, **update: object) -> Profile:
     return profile
 
 
-def says(drive: ProfiledDrive, **what: bool) -> Callable[[], DriveState]:
+def says(drive: ProfiledDrive, **what: bool) -> Callable[[], DriveSays]:
     """What it says, other in this."""
     said = drive.state()._replace(**what)
     return lambda: said
@@ -226,7 +226,7 @@ def settings(drive: ProfiledDrive, tmp_path: Path) -> Iterator[Settings]:
             profile="p",
             profile_hash="",
             serial="1",
-            context=Context("{}"),
+            context=RunContext("{}"),
         )
         yield Settings(journal, run, drive)
 

@@ -10,10 +10,10 @@ import pytest
 
 from commissioning.errors import JournalError
 from commissioning.journal import Intent, Journal
-from commissioning.records import Context
+from commissioning.records import RunContext
 from commissioning.settings import Restored, Settings, put_back, settle
 from drivers.described import described
-from drivers.drive import DriveState, Value
+from drivers.drive import DriveSays, Value
 from drivers.errors import LinkLost, WriteFailed
 from drivers.scaling import Scaling
 from profiles.axis import Mechanics
@@ -60,8 +60,8 @@ class Drawer:
             raise self.broken[f"write {name}"]
         self.values[name] = raw
 
-    def state(self) -> DriveState:
-        return DriveState(self.energised, False, "", "no fault", "")
+    def state(self) -> DriveSays:
+        return DriveSays(self.energised, False, "", "no fault", "")
 
     def bus(self) -> dict[str, tuple[int, int]]:
         return self.objects
@@ -93,7 +93,7 @@ def drive(journal: Journal) -> Drawer:
         profile="p",
         profile_hash="",
         serial="1",
-        context=Context("{}"),
+        context=RunContext("{}"),
     )
     return drawer
 

@@ -16,7 +16,8 @@ from drivers.errors import LinkLost
 from drivers.link import axis_of, open_drive
 from drivers.profiled import ProfiledDrive
 from drivers.virtual.device import Device
-from drivers.virtual.firmware import Firmware, State
+from drivers.virtual.firmware import Firmware
+from drivers.virtual.states import State
 from profiles.library import load_profile
 from profiles.procedures import Mode
 from tests.raising import raises

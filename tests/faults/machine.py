@@ -21,8 +21,9 @@ from commissioning.session.identify import identify
 from commissioning.session.verify import Wishes, verify
 from drivers.link import axis_of, open_drive
 from drivers.virtual.axes import VirtualAxis
-from drivers.virtual.firmware import Firmware, State
+from drivers.virtual.firmware import Firmware
 from drivers.virtual.plant import Plant
+from drivers.virtual.states import State
 from profiles.axis import Axis
 from profiles.errors import TwoRelayError
 from tests.faults.two_key import TWO_KEY, in_process

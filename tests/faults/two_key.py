@@ -14,8 +14,9 @@ from drivers.modbus.registers import decode, encode
 from drivers.virtual.axes import configured
 from drivers.virtual.device import Device
 from drivers.virtual.direct import DirectBus
-from drivers.virtual.firmware import SECOND, Denied, Firmware
+from drivers.virtual.firmware import SECOND, Firmware
 from drivers.virtual.memory import Memory
+from drivers.virtual.states import Denied
 from drivers.virtual.twin import modbus_twin
 from profiles.address import Address, ModbusAddress
 from profiles.axis import Axis

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from commissioning.journal import Journal
-from commissioning.records import Context
+from commissioning.records import RunContext
 from drivers.home import home
 from drivers.link import axis_of, open_drive
 from profiles.axis import load_axis
@@ -134,7 +134,7 @@ def test_the_last_to_write_is_the_first_to_go_back(tmp_path: Path) -> None:
     with Journal(tmp_path) as journal:
         a, b = (
             journal.begin(
-                axis="x", link="l", profile="p", profile_hash="", serial=serial, context=Context("{}")
+                axis="x", link="l", profile="p", profile_hash="", serial=serial, context=RunContext("{}")
             )
             for serial in "12"
         )  # fmt: skip
@@ -158,7 +158,12 @@ def test_two_drives_without_a_serial_do_not_block_each_other(
     assert drive.identity().serial == ""
     with Journal(home()) as journal:
         run = journal.begin(
-            axis="x", link=one, profile="dsy-rs", profile_hash="", serial="", context=Context("{}")
+            axis="x",
+            link=one,
+            profile="dsy-rs",
+            profile_hash="",
+            serial="",
+            context=RunContext("{}"),
         )
         journal.intend(run, "experiment", "max_torque", 300, 200)
     drive.close()

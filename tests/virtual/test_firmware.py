@@ -9,8 +9,9 @@ import pytest
 
 from drivers.virtual.axes import AXES, configured
 from drivers.virtual.compliant_plant import CompliantPlant
-from drivers.virtual.firmware import SECOND, Denied, Firmware, State
+from drivers.virtual.firmware import SECOND, Firmware
 from drivers.virtual.memory import Memory
+from drivers.virtual.states import Denied, State
 
 MS = 1_000_000
 

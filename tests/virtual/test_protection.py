@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from drivers.virtual.axes import configured
-from drivers.virtual.firmware import Firmware, State
+from drivers.virtual.firmware import Firmware
 from drivers.virtual.plant import Plant
+from drivers.virtual.states import State
 
 MS = 1_000_000  # ns
 

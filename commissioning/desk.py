@@ -65,7 +65,10 @@ class Desk:
 
     @contextlib.contextmanager
     def finishing(self) -> Generator[None]:
-        """What is begun is done, and noted, before a signal ends it; one that comes late undoes nothing."""
+        """What is begun is done, and noted, before a signal ends it.
+
+        One that comes late undoes nothing.
+        """
         self.done = False
         try:
             with self.interruption.deferred():
@@ -132,7 +135,8 @@ def connect(
 ) -> Generator[Drive]:
     """The drive of `axis`; closed, and stopped if need be, on every way out.
 
-    `doing` : what for, for those who are refused meanwhile. Raises Refused while another process has its
+    `doing` : what for, for those who are refused meanwhile. Raises Refused while another process
+        has its
     bus; `to_stop` does not ask. `lenient`: the profile is a run's own, of whatever version.
     """
     _allowed_here(axis)

@@ -1,4 +1,7 @@
-"""How a result begins, and how every act ends: with what is true of axis, settings and drive then."""
+"""How a result begins, and how every act ends.
+
+With what is true of axis, settings and drive then.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +65,8 @@ def _operator() -> str | None:
 def begun(axis: Axis) -> RunResult:
     """A result in which nothing is known yet but whose it is."""
     return RunResult(
-        SCHEMA, "failed", axis.name, Units.of("rad" if axis.position_unit == "rad" else "m"), _tool(),
+        SCHEMA, "failed", axis.name, Units.of("rad" if axis.position_unit == "rad" else "m"),
+        _tool(),
         platform.node() or None, _operator(), _now(), link=axis.link,
     )  # fmt: skip
 
@@ -75,7 +79,8 @@ def on_drive(
     return replace(result, axis=axis.name, link=link, profile=mark, identity=identity)
 
 
-# -- endings ----------------------------------------------------------------------------------------
+# -- endings
+# ----------------------------------------------------------------------------------------
 
 
 def axis_state(drive: Drive, axis: Axis) -> AxisState:
@@ -96,7 +101,10 @@ def stopped_state(axis: Axis, *, deenergised: bool | None) -> AxisState:
 def ended(
     result: RunResult, history: History | None, axis: AxisState, said_by: str | None = None
 ) -> RunResult:
-    """The result with its ending; settings and drive by the journal of the run, where one was begun."""
+    """The result with its ending.
+
+    Settings and drive by the journal of the run, where one was begun.
+    """
     if history is None:
         return replace(result, ended=_now(), ending=Ending(axis, said_by=said_by))
     written = left_in_drive(result, history)
@@ -106,7 +114,10 @@ def ended(
 
 
 def failed(result: RunResult, error: TwoRelayError) -> RunResult:
-    """The result of a measurement that ended with `error`: without numbers that nobody should use."""
+    """The result of a measurement that ended with `error`.
+
+    Without numbers that nobody should use.
+    """
     quality = result.quality
     if error.status != "rejected":
         quality = Quality()
@@ -173,7 +184,10 @@ def untouched(error: TwoRelayError, before: Ending | None = None) -> AxisState:
 
 
 def of_failed(desk: Desk, run: str, error: TwoRelayError) -> RunResult:
-    """The result of a run that an act on it ended early: as the act left it, or as it was before."""
+    """The result of a run that an act on it ended early.
+
+    As the act left it, or as it was before.
+    """
     run_id, folder = resolve(desk.journal, run)
     history = folder.history(desk.journal, run_id)
     result = folder.result(history) if folder.exported else of_run(desk, run_id)

@@ -15,8 +15,9 @@ _MEASURED_TORQUE_SHARE = 1.5  # of the limit; sustained, so that a spike of nois
 _MEASURED_TORQUE_CYCLES = 10
 _FIRST_TRAVEL, _FIRST_SPEED = 0.6, 0.35  # of the limits, while nothing is known
 _STAYS = 0.05  # of the travel, while the drive takes over
-# A change of speed within one sample that is so many times what the torque can do, and as many counts, is the
-# encoder's direction that changed. It is believed when the next sample has the new speed, too.
+# A change of speed within one sample that is so many times what the torque can do, and as many
+# counts, is the encoder's direction that changed. It is believed when the next sample has the new
+# speed, too.
 _IMPOSSIBLE, _COUNTS, _STAYS_REVERSED = 6.0, 4.0, 0.5
 _AGAINST = 0.03  # s: an axis that gains speed for so long against its torque contradicts it
 
@@ -31,12 +32,13 @@ class Envelope:
     speed : rad/s or m/s
     torque : N.m or N, of the command
     duration : s, of all experiments together; `spent` of it by those before
-    thermal : (N.m)²·s or N²·s above the rated torque, the i²t budget; `rated` the torque it counts from,
-        `heat` what the experiments before have left of it
+    thermal : (N.m)²·s or N²·s above the rated torque, the i²t budget; `rated` the torque it counts
+        from, `heat` what the experiments before have left of it
     stopping : what is certain about stopping; None while nothing is known and speeds are low
     relay_torque : torque about the offset that may act until the axis is told to stop, N.m or N
     bias : torque that balances the axis, N.m or N; nan: not known, or positions are commanded
-    cycle, resolution : s, rad or m: the largest step of a position command is the speed's in one cycle
+    cycle, resolution : s, rad or m: the largest step of a position command is the speed's in one
+        cycle
     cautious : the first motions, of which nothing is known: a share of travel and speed
     position_unit, effort_unit : for messages
     """
@@ -69,7 +71,8 @@ class Watch:
 
     __slots__ = (
         "_against", "_began", "_bias", "_c0", "_c1", "_c2", "_centre", "_commanded", "_counts",
-        "_duration", "_envelope", "_heat", "_most_change", "_over", "_position", "_rated2", "_reversed",
+        "_duration", "_envelope", "_heat", "_most_change", "_over", "_position", "_rated2",
+        "_reversed",
         "_speed", "_step", "_time", "_torque", "_travel", "_velocity",
     )  # fmt: skip
 
@@ -122,8 +125,8 @@ class Watch:
         if not abs(set_point - self._centre) <= self._travel + self._envelope.resolution:
             e = self._envelope
             raise EnvelopeTripped(
-                f"position command: {set_point - self._centre:+.4g} {e.position_unit} from the start is "
-                f"beyond ±{self._travel:.4g} {e.position_unit}; the axis was stopped",
+                f"position command: {set_point - self._centre:+.4g} {e.position_unit} from the "
+                f"start is beyond ±{self._travel:.4g} {e.position_unit}; the axis was stopped",
                 code="limit.position-command",
                 value=set_point - self._centre,
                 limit=self._travel,
@@ -132,8 +135,9 @@ class Watch:
         if not abs(set_point - self._commanded) <= self._step:
             e = self._envelope
             raise EnvelopeTripped(
-                f"position command: a step of {set_point - self._commanded:+.4g} {e.position_unit} is more "
-                f"than {self._speed:.4g} {e.position_unit}/s go in one cycle; the axis was stopped",
+                f"position command: a step of {set_point - self._commanded:+.4g} {e.position_unit} "
+                f"is more than {self._speed:.4g} {e.position_unit}/s go in one cycle; the axis was "
+                "stopped",
                 code="limit.position-step",
                 value=set_point - self._commanded,
                 limit=self._step,
@@ -202,8 +206,8 @@ class Watch:
         e, moved = self._envelope, position - self._position
         if abs(moved) > _STAYS * e.travel:
             raise EnvelopeTripped(
-                f"the axis, or its encoder, moved by {moved:+.3g} {e.position_unit} while the drive "
-                "was enabled; the axis was stopped. Find out why first",
+                f"the axis, or its encoder, moved by {moved:+.3g} {e.position_unit} while the "
+                "drive was enabled; the axis was stopped. Find out why first",
                 code="limit.jump",
                 value=moved,
                 limit=_STAYS * e.travel,
@@ -211,14 +215,18 @@ class Watch:
             )
 
     def _check_direction(self, velocity: float, before: float) -> None:
-        """The sample after a change of speed that no torque makes: a disturbed one, or the new direction."""
+        """The sample after a change of speed that no torque makes.
+
+        A disturbed one, or the new direction.
+        """
         was, self._reversed = self._reversed, 0.0
         if abs(velocity - was) < _STAYS_REVERSED * abs(was):
             e = self._envelope
             raise FeedbackReversed(
-                f"feedback: the speed turned to {before:+.3g} {e.position_unit}/s within one cycle, which no "
-                "torque does; the encoder's direction has changed, or the axis hit something. The energy was "
-                "taken away at once, for a quick stop would accelerate; check the encoder and its cable"
+                f"feedback: the speed turned to {before:+.3g} {e.position_unit}/s within one "
+                "cycle, which no torque does; the encoder's direction has changed, or the axis hit "
+                "something. The energy was taken away at once, for a quick stop would accelerate; "
+                "check the encoder and its cable"
             )
 
     def _trip(self, sample: Sample, speed: float, reach: float) -> None:
@@ -228,19 +236,19 @@ class Watch:
         against = sample.time - since
         if against > _AGAINST and speed > slower:
             raise FeedbackReversed(
-                f"feedback: the axis gained speed against its torque for {1000 * against:.0f} ms, from "
-                f"{slower:.3g} to {speed:.3g} {pu}/s; the direction of encoder or motor has changed. The "
-                "energy was taken away at once, for a quick stop would accelerate; check encoder, motor "
-                "cable and both directions"
+                f"feedback: the axis gained speed against its torque for {1000 * against:.0f} ms, "
+                f"from {slower:.3g} to {speed:.3g} {pu}/s; the direction of encoder or motor has "
+                "changed. The energy was taken away at once, for a quick stop would accelerate; "
+                "check encoder, motor cable and both directions"
             )
         first = " for the first motions ({:.0f} % of {:.4g})" if e.cautious else ""
         if reach > self._travel:
             first = first.format(100 * _FIRST_TRAVEL, e.travel)
             at = sample.position - e.centre
             raise EnvelopeTripped(
-                f"travel: the axis is {at:+.4g} {pu} from its start at {speed:.3g} {pu}/s and would "
-                f"stop within {reach:.4g} {pu}, beyond ±{self._travel:.4g} {pu}{first}; the axis was "
-                "stopped. Give more --travel or less --max-torque",
+                f"travel: the axis is {at:+.4g} {pu} from its start at {speed:.3g} {pu}/s and "
+                f"would stop within {reach:.4g} {pu}, beyond ±{self._travel:.4g} {pu}{first}; the "
+                "axis was stopped. Give more --travel or less --max-torque",
                 code="limit.travel",
                 value=reach,
                 limit=self._travel,
@@ -249,8 +257,8 @@ class Watch:
         if speed > self._speed:
             first = first.format(100 * _FIRST_SPEED, e.speed)
             raise EnvelopeTripped(
-                f"speed: {speed:.4g} {pu}/s is above the limit of {self._speed:.4g} {pu}/s{first}; the "
-                "axis was stopped. Raise --max-speed if the machine allows it",
+                f"speed: {speed:.4g} {pu}/s is above the limit of {self._speed:.4g} {pu}/s{first}; "
+                "the axis was stopped. Raise --max-speed if the machine allows it",
                 code="limit.speed",
                 value=speed,
                 limit=self._speed,

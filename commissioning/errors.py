@@ -23,7 +23,10 @@ class EnvelopeTripped(DriveFault):
 
 
 class FeedbackReversed(EnvelopeTripped):
-    """The position answers against the torque, so that a quick stop would accelerate: the energy must go."""
+    """The position answers against the torque, so that a quick stop would accelerate.
+
+    The energy must go.
+    """
 
     code = "limit.feedback"
 
@@ -37,7 +40,10 @@ class MeasurementRejected(TwoRelayError):
 
 
 class DoesNotHelp(TwoRelayError):
-    """The compensation was tried, and the axis follows no better with it: the old values are back."""
+    """The compensation was tried, and the axis follows no better with it.
+
+    The old values are back.
+    """
 
     exit_code = 8
     code = "verify.no-help"

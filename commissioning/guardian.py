@@ -1,8 +1,9 @@
-"""A process beside the loop, with a way of its own to the drive, that stops it when the loop falls silent.
+"""A process beside the loop that stops the drive, by a way of its own, when the loop is silent.
 
-Where the bus allows a second connection, the guardian has one. On a port that has one owner it holds the
-inherited descriptor, writes nothing while it is fed, and sends the drive's stop frames when it is not. Where
-a process cannot inherit a port (Windows), it owns it, and the loop speaks through it.
+Where the bus allows a second connection, the guardian has one. On a port that has one owner it
+holds the inherited descriptor, writes nothing while it is fed, and sends the drive's stop frames
+when it is not. Where a process cannot inherit a port (Windows), it owns it, and the loop speaks
+through it.
 """
 
 from __future__ import annotations
@@ -74,18 +75,24 @@ class Guardian:
         return f"the guardian process stopped the axis: {self.said[0]}"
 
     def arm(self) -> None:
-        """From now on silence is a failure; raises DriveFault when the guardian has ended meanwhile."""
+        """From now on silence is a failure.
+
+        Raises DriveFault when the guardian has ended meanwhile.
+        """
         self._heed()
         if self._is_dead:
             raise DriveFault(
-                "the guardian process has ended, so nothing would stop the axis if this computer failed; "
-                "it is not moved",
+                "the guardian process has ended, so nothing would stop the axis if this computer "
+                "failed; it is not moved",
                 code="guardian.ended",
             )
         self._say(ARM)
 
     def feed(self) -> None:
-        """The loop is alive; raises DriveFault when the guardian is not, or has stopped the axis."""
+        """The loop is alive.
+
+        Raises DriveFault when the guardian is not, or has stopped the axis.
+        """
         self._heed()
         self._say(FEED)
 
@@ -109,8 +116,8 @@ class Guardian:
         except OSError:
             self._line, self._is_dead = None, True
             raise DriveFault(
-                "the guardian process has ended, so nothing would stop the axis if this computer failed; "
-                f"the axis was stopped{self._taken_back()}",
+                "the guardian process has ended, so nothing would stop the axis if this computer "
+                f"failed; the axis was stopped{self._taken_back()}",
                 code="guardian.ended",
             ) from None
 
@@ -168,8 +175,8 @@ def guarded(drive: Drive, axis: Axis, profile: Path, run: str, home: Path) -> Ge
             guardian = _started(drive, axis, profile, run, home, stack)
         except (OSError, RuntimeError) as error:
             raise PreflightRefused(
-                f"no guardian process can be started, and without one nothing would stop the axis if this "
-                f"program failed: {error}",
+                "no guardian process can be started, and without one nothing would stop the axis "
+                f"if this program failed: {error}",
                 code="preflight.guardian",
             ) from None
         yield guardian

@@ -15,7 +15,8 @@ __all__ = ["Interruption"]
 
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 _SENDERS = {
-    "SIGINT": "the operator", "SIGBREAK": "the operator", "SIGHUP": "the terminal, which was closed",
+    "SIGINT": "the operator", "SIGBREAK": "the operator",
+    "SIGHUP": "the terminal, which was closed",
 }  # fmt: skip
 
 
@@ -54,7 +55,10 @@ class Interruption:
             self.check()
 
     def check(self) -> None:
-        """Raise Interrupted if a signal came; once, so that no clean-up hides what the first says."""
+        """Raise Interrupted if a signal came.
+
+        Once, so that no clean-up hides what the first says.
+        """
         if self.signal is not None and not self._told:
             self._told = True
             name = signal.Signals(self.signal).name

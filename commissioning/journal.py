@@ -133,8 +133,8 @@ class Journal:
             now = time.time()
             if not 0 <= now < END_OF_TIME:
                 raise Refused(
-                    f"this computer's clock stands at {now:.0f} s since 1970, outside of 1970 to 9999: "
-                    "set it, so that runs have an order",
+                    f"this computer's clock stands at {now:.0f} s since 1970, outside of 1970 to "
+                    "9999: set it, so that runs have an order",
                     code="refused.clock",
                 )
             stamp = time.strftime("%Y%m%d-%H%M%S", time.localtime(now))
@@ -163,7 +163,8 @@ class Journal:
         with self._errors():
             if run == "last":
                 row = self._db.execute(
-                    "SELECT * FROM runs WHERE id = (SELECT id FROM own ORDER BY number DESC LIMIT 1)"
+                    "SELECT * FROM runs WHERE id = (SELECT id FROM own ORDER BY number DESC LIMIT "
+                    "1)"
                 ).fetchone()
             else:
                 row = self._db.execute("SELECT * FROM runs WHERE id=?", (run,)).fetchone()
@@ -184,12 +185,16 @@ class Journal:
 
     def _damaged(self, error: Exception) -> JournalError:
         return JournalError(
-            f"the journal in {self.folder} is damaged ({error}); put back a copy of journal.sqlite, or move "
-            "it away (and keep it: what is to be restored in which drive stands nowhere else)"
+            f"the journal in {self.folder} is damaged ({error}); put back a copy of "
+            "journal.sqlite, or move it away (and keep it: what is to be restored in which drive "
+            "stands nowhere else)"
         )
 
     def note_stored(self, run: str, text: str) -> None:
-        """Say what the drive does to its memory, and up to which write: STORING, STORED or RESTORED."""
+        """Say what the drive does to its memory, and up to which write.
+
+        STORING, STORED or RESTORED.
+        """
         now = time.time()
         with self._errors():
             row = self._db.execute("SELECT IFNULL(MAX(seq), 0) FROM intents").fetchone()
@@ -211,8 +216,8 @@ class Journal:
     def memory(self, run: str) -> str:
         """What the run did last to the drive's non-volatile memory.
 
-        STORED: the run's values are in it; RESTORED: those from before; STORING: it was cut off while it
-        stored; '': nothing.
+        STORED: the run's values are in it; RESTORED: those from before; STORING: it was cut off
+        while it stored; '': nothing.
         """
         texts = (STORING, STORED, RESTORED)
         with self._errors():
@@ -248,8 +253,8 @@ class Journal:
     def settle(self, intents: list[int], state: State) -> None:
         """Say how far intents got: all of them at once, or none.
 
-        An old value that is back settles every intent about it; a later one alone would name a value in
-        between as the old one.
+        An old value that is back settles every intent about it; a later one alone would name a
+        value in between as the old one.
         """
         now = time.time()
         with self._errors():
@@ -275,7 +280,10 @@ class Journal:
         return [i for i in found if i.is_open] if open_only else found
 
     def open_runs(self, *, adopted: bool = False) -> list[str]:
-        """Runs with something to restore, the last to write first; of this computer, or also `adopted`."""
+        """Runs with something to restore, the last to write first.
+
+        Of this computer, or also `adopted`.
+        """
         with self._errors():
             rows = self._db.execute(
                 "SELECT runs.id FROM runs JOIN intents ON intents.run = runs.id "
@@ -323,11 +331,12 @@ class Journal:
         return [run for run, link, nameless, _ in rows if not nameless or is_here(link)]
 
     def unfinished_on(self, is_here: Callable[[str], bool]) -> list[str]:
-        """Runs of this computer on a link that `is_here` whose settings are not back, in their order."""
+        """Runs of this computer on such a link whose settings are not back, in their order."""
         with self._errors():
             rows = self._db.execute(
-                "SELECT DISTINCT own.id, link, number FROM own JOIN intents ON intents.run = own.id "
-                "WHERE intents.kind='experiment' AND intents.state <> 'restored' ORDER BY number"
+                "SELECT DISTINCT own.id, link, number FROM own JOIN intents ON intents.run = "
+                "own.id WHERE intents.kind='experiment' AND intents.state <> 'restored' ORDER BY "
+                "number"
             ).fetchall()
         return [run for run, link, _ in rows if is_here(link)]
 
@@ -344,7 +353,7 @@ class Journal:
         return History(record, tuple(self.intents(record.id)), events, self._image(record))
 
     def _image(self, record: RunRecord) -> dict[str, Cell]:
-        """What the drive of a run has, by all that was written to it from here, and by its stores."""
+        """What the drive of a run has, by all that was written to it here, and its stores."""
         with self._errors():
             drives = self._db.execute(
                 "SELECT id, link, nameless FROM of_drive WHERE serial=?", (record.serial,)
@@ -355,8 +364,8 @@ class Journal:
                 (record.serial,),
             ).fetchall()
             told = self._db.execute(
-                "SELECT seq, run, at, text FROM events WHERE text IN (?,?,?) OR text LIKE ? OR text LIKE ? "
-                "ORDER BY seq",
+                "SELECT seq, run, at, text FROM events WHERE text IN (?,?,?) OR text LIKE ? OR "
+                "text LIKE ? ORDER BY seq",
                 (STORING, STORED, RESTORED, f"{UP_TO}%", f"{TAKEN_IN}%"),
             ).fetchall()
         here = {
@@ -396,7 +405,8 @@ class Journal:
             self._db.execute(
                 "INSERT INTO runs VALUES (?,?,?,?,?,?,?,?,?)",
                 (
-                    run.id, run.created, run.axis, run.link, run.profile, run.profile_hash, run.serial,
+                    run.id, run.created, run.axis, run.link, run.profile, run.profile_hash,
+                    run.serial,
                     run.status, context_text(run.context),
                 ),
             )  # fmt: skip

@@ -47,12 +47,14 @@ CREATE INDEX IF NOT EXISTS intents_of_run ON intents(run);
 TABLE = re.compile(r"CREATE TABLE IF NOT EXISTS (\w+)")
 
 
-# this connection's own: the runs of this computer, in their order; an adopted one was measured elsewhere
+# this connection's own: the runs of this computer, in their order; an adopted one was measured
+# elsewhere
 VIEWS = """
 CREATE TEMP VIEW own AS
     SELECT rowid AS number, * FROM runs WHERE id NOT IN (SELECT run FROM adopted);
 CREATE TEMP VIEW of_drive AS
-    SELECT rowid AS number, *, CASE WHEN serial IN ('', '0x00000000') THEN link ELSE '' END AS nameless
+    SELECT rowid AS number, *,
+        CASE WHEN serial IN ('', '0x00000000') THEN link ELSE '' END AS nameless
     FROM runs;
 """
 

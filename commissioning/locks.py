@@ -109,7 +109,10 @@ if sys.platform == "linux":
     _LONGEST = 40  # characters of what an owner does, in the name of a socket
 
     class SocketLock:
-        """A socket in the abstract namespace; a second one's name says whose it is, since when, what for."""
+        """A socket in the abstract namespace.
+
+        A second one's name says whose it is, since when, what for.
+        """
 
         def __init__(self, name: str, doing: str) -> None:
             self._name, self._since = f"tworelay.{name}", time.time()
@@ -212,8 +215,8 @@ if sys.platform != "win32":
                 raise Taken(_noted(file)) from None  # it cannot be asked, so it is held
             except OSError as error:
                 raise Refused(
-                    f"no lock can be made in {folder} ({error.strerror}): without it two programs could move "
-                    "one axis; remove what is there, or make it writable",
+                    f"no lock can be made in {folder} ({error.strerror}): without it two programs "
+                    "could move one axis; remove what is there, or make it writable",
                     code="refused.lock",
                 ) from None
             self._file = os.fdopen(descriptor, "r+", encoding="utf-8", errors="replace")

@@ -38,8 +38,8 @@ def owned(link: str, doing: str) -> Generator[None]:
                 lock = take(_name(bus), doing)
             except Taken as taken:
                 raise Refused(
-                    f"another tworelay has the bus of {link} ({taken.owner}): wait for it, or end it; "
-                    "'tworelay stop' works in spite of it",
+                    f"another tworelay has the bus of {link} ({taken.owner}): wait for it, or end "
+                    "it; 'tworelay stop' works in spite of it",
                     code="refused.owned",
                 ) from None
             _mine.locks[bus] = lock

@@ -27,7 +27,10 @@ def this_process() -> Process:
 
 
 def _started(pid: int) -> float:
-    """When a process started, s: since the computer did, where the system counts so; else by the clock."""
+    """When a process started, s: since the computer did, where the system counts so.
+
+    Else by the clock.
+    """
     import psutil
 
     since = (

@@ -1,6 +1,7 @@
 """Recordings of other tools: CSV with a header, or .mat, as columns in SI.
 
-Files are hostile: sizes are limited, nothing in them is executed, and every error names row and column.
+Files are hostile: sizes are limited, nothing in them is executed, and every error names row and
+column.
 """
 
 from __future__ import annotations
@@ -56,7 +57,10 @@ _LIMITS = {  # what no servo axis does: (smallest, largest, hint)
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column as the user names it: name, factor to SI (None: by its own unit), linear or rotary."""
+    """A column as the user names it.
+
+    Name, factor to SI (None: by its own unit), linear or rotary.
+    """
 
     name: str
     factor: float | None
@@ -96,7 +100,10 @@ class Recording:
 
 
 def column_of(text: str | None, quantity: str, scalars: dict[str, float]) -> Column | None:
-    """COL, COL:UNIT or COL:SCALE UNIT; a scale may be a scalar of a .mat file. Raises UsageError."""
+    """COL, COL:UNIT or COL:SCALE UNIT; a scale may be a scalar of a .mat file.
+
+    Raises UsageError.
+    """
     if text is None:
         return None
     name, colon, unit_text = text.rpartition(":")
@@ -142,7 +149,8 @@ def table_of(path: Path) -> Table:
 
 
 _NUMBERS = {  # classes of a .mat
-    "double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "logical",
+    "double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64",
+    "logical",
 }  # fmt: skip
 
 
@@ -150,8 +158,8 @@ def _mat(path: Path, data: bytes) -> Table:
     import scipy.io
 
     try:
-        # a small compressed file may hold a large array, and a small cell anything: only what is a small
-        # array of numbers is inflated
+        # a small compressed file may hold a large array, and a small cell anything: only what is a
+        # small array of numbers is inflated
         shapes = scipy.io.whosmat(io.BytesIO(data))  # type: ignore[arg-type]
         small = [
             name
@@ -215,8 +223,8 @@ def _layout(path: Path, lines: list[str]) -> tuple[str, int]:
             if len(widths) == 1 and widths.pop() >= 2:
                 return delimiter, first
     raise UsageError(
-        f"{path}: has no rows of numbers within its first {_SEARCHED} lines; a recording is CSV with a "
-        "header and two columns or more"
+        f"{path}: has no rows of numbers within its first {_SEARCHED} lines; a recording is CSV "
+        "with a header and two columns or more"
     )
 
 
@@ -292,7 +300,8 @@ def _sent(table: Table, named: dict[str, Column | None], time: Array) -> Array:
         return time
     if len(sent) != len(time) or not np.all(np.isfinite(sent)) or np.any(np.diff(sent) <= 0):
         raise UsageError(
-            f"{table.path}: column 'sent_s' must be finite and increase from row to row, as 'time_s'"
+            f"{table.path}: column 'sent_s' must be finite and increase from row to row, as "
+            "'time_s'"
         )
     return sent
 
@@ -354,8 +363,8 @@ def _check(
     if len(back):
         k = int(back[0])
         raise UsageError(
-            f"{path}: row {first + k + 1}: time goes from {time[k]:.6g} s to {time[k + 1]:.6g} s; it must "
-            "increase from row to row"
+            f"{path}: row {first + k + 1}: time goes from {time[k]:.6g} s to {time[k + 1]:.6g} s; "
+            "it must increase from row to row"
         )
     steps = np.diff(time)
     if steps.max() > _LONGEST_GAP * float(np.median(steps)):
@@ -366,8 +375,8 @@ def _check(
         )
     if not np.any(np.diff(torque)):
         raise UsageError(
-            f"{path}: the torque is constant at {torque[0]:.4g} in all rows: it excites nothing, or the "
-            "wrong column was taken"
+            f"{path}: the torque is constant at {torque[0]:.4g} in all rows: it excites nothing, "
+            "or the wrong column was taken"
         )
     _absurd(path, "step", float(np.median(np.diff(time))), "time steps of {:.3g} s")
     _absurd(path, "torque", float(np.abs(torque).max()), "a torque of {:.3g} N.m or N")

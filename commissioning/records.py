@@ -1,6 +1,7 @@
 """What the journal keeps of a run, typed; and JSON files of runs, which are anybody's.
 
-Rows and files have the types and ranges that tworelay writes, or are refused with the place that is wrong.
+Rows and files have the types and ranges that tworelay writes, or are refused with the place that is
+wrong.
 """
 
 from __future__ import annotations
@@ -168,17 +169,22 @@ class History:
         return found
 
     def has_stored(self, values: Mapping[str, int]) -> bool:
-        """Whether the drive's memory has these raw values; what nobody here wrote is taken for stored."""
+        """Whether the drive's memory has these raw values.
+
+        What nobody here wrote is taken for stored.
+        """
         return all(
             self.image[name].memory == raw for name, raw in values.items() if name in self.image
         )
 
 
 def image_of(writes: Sequence[Intent], stores: Sequence[tuple[int, str]]) -> dict[str, Cell]:
-    """What a drive has, by the writes to it in their order, and its stores: up to which write, what kind.
+    """What a drive has, by the writes to it in their order, and its stores.
 
-    STORING without an end was cut off, and may have happened: the memory is known where it can have one value
-    only.
+    Up to which write, what kind.
+
+    STORING without an end was cut off, and may have happened: the memory is known where it can have
+    one value only.
     """
     base: dict[str, int] = {}
     for write in writes:
@@ -199,7 +205,8 @@ def image_of(writes: Sequence[Intent], stores: Sequence[tuple[int, str]]) -> dic
 def _after(writes: Sequence[Intent], up_to: int | None) -> dict[str, Intent]:
     """The last write of each parameter, of those up to `up_to`.
 
-    Versions that did not journal what a restore wrote left settled writes only: the value is the one before.
+    Versions that did not journal what a restore wrote left settled writes only: the value is the
+    one before.
     """
     groups: dict[tuple[str, str], list[Intent]] = {}
     found: dict[str, Intent] = {}
@@ -214,11 +221,15 @@ def _after(writes: Sequence[Intent], up_to: int | None) -> dict[str, Intent]:
     return found
 
 
-# -- what rows and files must be --------------------------------------------------------------------
+# -- what rows and files must be
+# --------------------------------------------------------------------
 
 
 def _finite(tree: Any) -> Any:
-    """A tree of our own making as it is: its numbers are finite, its texts whole; raises ValueError."""
+    """A tree of our own making as it is: its numbers are finite, its texts whole.
+
+    Raises ValueError.
+    """
     if isinstance(tree, dict):
         _finite([*tree, *tree.values()])
     elif isinstance(tree, list):
@@ -298,7 +309,8 @@ def _checked(kind: type, tree: Any, origin: str) -> Any:
 def _run(found: _Run, *, adopted: bool) -> RunRecord:
     context = found.context
     return RunRecord(
-        found.id, found.created, found.axis, found.link, found.profile, found.profile_hash, found.serial,
+        found.id, found.created, found.axis, found.link, found.profile, found.profile_hash,
+        found.serial,
         found.status,
         RunContext(json.dumps(context.axis), context.fraction, context.pid, context.started),
         adopted,
@@ -324,7 +336,8 @@ def context_text(context: RunContext) -> str:
     return json.dumps({key: value for key, value in tree.items() if value is not None})
 
 
-# -- the journal of an exported run -----------------------------------------------------------------
+# -- the journal of an exported run
+# -----------------------------------------------------------------
 
 
 def history_of(tree: Any, origin: str) -> History:
@@ -362,7 +375,8 @@ def history_tree(history: History) -> dict[str, Any]:
     }
 
 
-# -- files ------------------------------------------------------------------------------------------
+# -- files
+# ------------------------------------------------------------------------------------------
 
 
 def json_file(path: Path) -> Any:

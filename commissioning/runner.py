@@ -161,9 +161,9 @@ def _left_operation(drive: Drive) -> DriveFault:
         state = drive.state().text
         if not drive.state().in_fault:
             return DriveFault(
-                f"the drive left operation and is in no fault (it says: {state}; a code may be older): was "
-                "it disabled from outside: 'tworelay stop', another master, STO, an enable input or a limit "
-                "switch?",
+                f"the drive left operation and is in no fault (it says: {state}; a code may be "
+                "older): was it disabled from outside: 'tworelay stop', another master, STO, an "
+                "enable input or a limit switch?",
                 "somebody outside of tworelay, or the drive",
                 code="drive.left",
             )

@@ -67,8 +67,8 @@ _DETAILS_OF_0_1 = "staging", "relay test 2, ", "stop path", "a dozen periods"
 class Samples:
     """Recorded samples as columns, the phases of the run, and curves that pictures of it need.
 
-    Each column is an (n,) array in the unit of Sample; time counts from the first sample. A curve is (k, n):
-    `verify.<step>` time, command, error; `step.<loop>.<rule>.<source>` time, position.
+    Each column is an (n,) array in the unit of Sample; time counts from the first sample. A curve
+    is (k, n): `verify.<step>` time, command, error; `step.<loop>.<rule>.<source>` time, position.
     """
 
     def __init__(
@@ -130,7 +130,10 @@ class RunFolder:
         return cls(path)
 
     def history(self, journal: Journal, run: str) -> History:
-        """What the journal knows of the run: this computer's, or for an exported one the one beside it."""
+        """What the journal knows of the run.
+
+        This computer's, or for an exported one the one beside it.
+        """
         return journal.history(run) if self.exported is None else self.exported
 
     def save(
@@ -140,7 +143,10 @@ class RunFolder:
         profile: str | None = None,
         curves: Mapping[str, Array] | None = None,
     ) -> None:
-        """Write what is given; curves of one kind replace those of that kind. Raises JournalError."""
+        """Write what is given; curves of one kind replace those of that kind.
+
+        Raises JournalError.
+        """
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             if profile is not None:
@@ -161,7 +167,10 @@ class RunFolder:
         return {}
 
     def _samples_or_none(self) -> Samples:
-        """What is recorded; a file that cannot be read is laid aside, so that what is new has a place."""
+        """What is recorded.
+
+        A file that cannot be read is laid aside, so that what is new has a place.
+        """
         try:
             return self.samples() or Samples.none()
         except UsageError:
@@ -180,7 +189,10 @@ class RunFolder:
             raise UsageError(f"{self.path} holds no run (run.json is missing)") from None
 
     def result(self, history: History | None = None) -> RunResult:
-        """The result, and with the run's `history` what it has left in the drive; raises UsageError."""
+        """The result, and with the run's `history` what it has left in the drive.
+
+        Raises UsageError.
+        """
         found, _ = self._read()
         assert found is not None
         return found if history is None else as_of(found, history)
@@ -225,7 +237,10 @@ class RunFolder:
         return path
 
     def export(self, journal: Journal, run: str, target: Path) -> list[Path]:
-        """Copy the run to `target` with its journal, samples as CSV, changes as DCF; return the files."""
+        """Copy the run to `target` with its journal, samples as CSV, changes as DCF.
+
+        Return the files.
+        """
         history = self.history(journal, run)
         result = self.result(history)
         try:
@@ -266,11 +281,15 @@ class RunFolder:
         return dcf(profile, changed, int(node[1]) if node else profile.link.node)
 
 
-# -- what a run has left in its drive ---------------------------------------------------------------
+# -- what a run has left in its drive
+# ---------------------------------------------------------------
 
 
 def left_in_drive(result: RunResult, history: History) -> tuple[Written, ...]:
-    """What the run changed and is in the drive, by the journal; of what that does not know by the result."""
+    """What the run changed and is in the drive, by the journal.
+
+    Of what that does not know by the result.
+    """
     before, changes = history.before(), {c.parameter: c for c in _changes(result)}
     kinds = {intent.parameter: intent.kind for intent in history.intents if intent.lasts}
     left = {one.parameter: one for one in result.written if one.parameter not in before}
@@ -338,7 +357,8 @@ def as_of(result: RunResult, history: History) -> RunResult:
     return dataclasses.replace(result, ending=ending)
 
 
-# -- samples ----------------------------------------------------------------------------------------
+# -- samples
+# ----------------------------------------------------------------------------------------
 
 
 def _merged(before: Mapping[str, Array], new: Mapping[str, Array]) -> dict[str, Array]:
@@ -362,7 +382,7 @@ def _check_curves(curves: dict[str, Array]) -> None:
 
 
 def _check_columns(columns: dict[str, Array]) -> None:
-    """Raise ValueError where they are no columns of one length, or an instant or a position is no number."""
+    """Raise ValueError for columns of different lengths, and for values that are no numbers."""
     if len({column.shape for column in columns.values()}) != 1 or columns["time"].ndim != 1:
         raise ValueError("its columns are not of one length")
     for name in ("time", "position", "sent"):
@@ -401,7 +421,8 @@ def resolve(journal: Journal, run: str) -> tuple[str, RunFolder]:
     folder = RunFolder.of(journal, record.id)
     if not folder.path.exists():
         raise UsageError(
-            f"run {record.id} has no files here: they were deleted, or it was cut off before it wrote any"
+            f"run {record.id} has no files here: they were deleted, or it was cut off before it "
+            "wrote any"
         )
     return record.id, folder
 

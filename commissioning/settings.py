@@ -172,7 +172,10 @@ def put_back(drive: Drive, intents: list[Intent], *, force: bool = False) -> Res
 
 
 class Return(NamedTuple):
-    """One parameter on its way back: raw values, None: cannot be read; `why_not`: it is left as it is."""
+    """One parameter on its way back: raw values, None: cannot be read.
+
+    `why_not`: it is left as it is.
+    """
 
     parameter: str
     there: int | None
@@ -197,8 +200,8 @@ def planned(drive: Drive, intents: list[Intent], *, force: bool = False) -> list
 class _Back:
     """The way back: settings first, then what commands the drive, each the last first.
 
-    What commands it is written only to a drive that says it is without energy, a set-point always as one
-    that moves nothing, and nothing with a value by which the profile enables the drive.
+    What commands it is written only to a drive that says it is without energy, a set-point always
+    as one that moves nothing, and nothing with a value by which the profile enables the drive.
     """
 
     def __init__(self, drive: Drive, intents: list[Intent], *, force: bool) -> None:

@@ -1,4 +1,7 @@
-"""A journal that is read and not written, from wherever it lies: also where nothing can be written."""
+"""A journal that is read and not written, from wherever it lies.
+
+Also where nothing can be written.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +16,13 @@ __all__ = ["read_only"]
 
 
 def read_only(path: Path, clean_up: contextlib.ExitStack) -> sqlite3.Connection:
-    """A connection to the SQLite file `path` that writes nothing there; raises OSError, sqlite3.Error.
+    """A connection to the SQLite file `path` that writes nothing there.
 
-    A journal is written ahead: beside it lie files that SQLite makes anew where they are missing. Where it
-    cannot, a file that nobody has open is read as it is, and one with something in its `-wal` as a copy,
-    which `clean_up` removes.
+    Raises OSError, sqlite3.Error.
+
+    A journal is written ahead: beside it lie files that SQLite makes anew where they are missing.
+    Where it cannot, a file that nobody has open is read as it is, and one with something in its
+    `-wal` as a copy, which `clean_up` removes.
     """
     try:
         return _opened(path, "mode=ro")

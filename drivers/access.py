@@ -50,7 +50,10 @@ class RawAccess:
             raise AccessDenied(f"'{name}': {error}", busy=error.busy) from None
 
     def optional(self, name: str) -> int | None:
-        """Raw value of what not every drive has; None where this one has it not. Raises LinkError."""
+        """Raw value of what not every drive has; None where this one has it not.
+
+        Raises LinkError.
+        """
         if name not in self.profile.parameters:
             return None
         try:

@@ -1,4 +1,7 @@
-"""What a drive counts in: rated torque, position units a motor revolution, and which way it counts."""
+"""What a drive counts in.
+
+Rated torque, position units a motor revolution, and which way it counts.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +48,10 @@ def read_bases(profile: Profile, axis: Axis, read: Read) -> Scaling:
 
 
 def interpolation_period(cycle: float) -> tuple[int, int]:
-    """60C2h:01 and :02 of a cycle (s): so many times ten to that power; the finest that fits 8 bits."""
+    """60C2h:01 and :02 of a cycle (s): so many times ten to that power.
+
+    The finest that fits 8 bits.
+    """
     exponent = -6
     while (told := round(cycle / 10**exponent)) > _LARGEST_PERIOD:
         exponent += 1
@@ -66,8 +72,8 @@ def _torque_constant(profile: Profile, axis: Axis, rated: float, read: Read) -> 
     current = (read("rated_current") or 0) * base.scale if base is not None else 0.0
     if current <= 0:
         raise PreflightRefused(
-            f"profile '{profile.name}' has parameters in A, and the motor's rated current is not known; give "
-            "torque_constant (N.m/A) in the axis file",
+            f"profile '{profile.name}' has parameters in A, and the motor's rated current is not "
+            "known; give torque_constant (N.m/A) in the axis file",
             code="scale.current",
         )
     return rated / current
@@ -85,8 +91,8 @@ def _rated_torque(profile: Profile, read: Read) -> float:
     told = read("rated_torque")
     if told is None:
         raise PreflightRefused(
-            f"the drive does not tell its rated torque ({base.address}), so its torque scale is unknown; "
-            "give rated_torque (N.m of the motor) in the axis file",
+            f"the drive does not tell its rated torque ({base.address}), so its torque scale is "
+            "unknown; give rated_torque (N.m of the motor) in the axis file",
             code="scale.torque",
         )
     rated = told * base.scale
@@ -104,8 +110,8 @@ def _encoder(profile: Profile, read: Read) -> float:
     known = profile.parameters
     if "encoder_increments" not in known:
         raise PreflightRefused(
-            f"profile '{profile.name}' has no encoder resolution, so the position scale is unknown; give "
-            "encoder (increments per motor revolution) in the axis file",
+            f"profile '{profile.name}' has no encoder resolution, so the position scale is "
+            "unknown; give encoder (increments per motor revolution) in the axis file",
             code="scale.position",
         )
     address = known["encoder_increments"].address
@@ -120,8 +126,8 @@ def _encoder(profile: Profile, read: Read) -> float:
         return _by_factors(encoder, read)
     if encoder is None:
         raise PreflightRefused(
-            f"the drive does not tell its encoder resolution ({address}), so its position scale is unknown; "
-            "give encoder (increments per motor revolution) in the axis file",
+            f"the drive does not tell its encoder resolution ({address}), so its position scale is "
+            "unknown; give encoder (increments per motor revolution) in the axis file",
             code="scale.position",
         )
     return encoder
@@ -139,21 +145,23 @@ def _by_factors(encoder: float | None, read: Read) -> float:
         old = encoder / factor
         if feed is not None and found is not None and abs(old / found - 1) > _ALIKE:
             raise PreflightRefused(
-                f"the drive's objects contradict each other: 608Fh and 6093h make {old:g} position units a "
-                f"motor revolution, 6092h and 6091h {found:g}; {_ASKED}",
+                f"the drive's objects contradict each other: 608Fh and 6093h make {old:g} position "
+                f"units a motor revolution, 6092h and 6091h {found:g}; {_ASKED}",
                 code="scale.contradiction",
             )
         found = old
     if found is None:
         raise PreflightRefused(
-            "the drive does not tell its encoder resolution (608Fh:01), nor a feed constant (6092h), so its "
-            "position scale is unknown; give encoder (position units a motor revolution) in the axis file",
+            "the drive does not tell its encoder resolution (608Fh:01), nor a feed constant "
+            "(6092h), so its position scale is unknown; give encoder (position units a motor "
+            "revolution) in the axis file",
             code="scale.position",
         )
     if found < _FEWEST and encoder is not None and encoder > found:
         raise PreflightRefused(
-            f"by 6092h and 6091h a motor revolution has {found:g} position units, by 608Fh {encoder:g} "
-            f"increments: is 6092h set up, or as it was delivered? {_ASKED[0].upper()}{_ASKED[1:]}",
+            f"by 6092h and 6091h a motor revolution has {found:g} position units, by 608Fh "
+            f"{encoder:g} increments: is 6092h set up, or as it was delivered? "
+            f"{_ASKED[0].upper()}{_ASKED[1:]}",
             code="scale.position-units",
         )
     return found
@@ -170,8 +178,8 @@ def _ratio(read: Read, above: str, below: str, what: str) -> float | None:
 def _positive(numerator: int, denominator: int, what: str) -> float:
     if numerator <= 0 or denominator <= 0:
         raise PreflightRefused(
-            f"the drive's {what} is {numerator}/{denominator}: its position scale is unknown; set it up in "
-            "the drive, or give encoder in the axis file",
+            f"the drive's {what} is {numerator}/{denominator}: its position scale is unknown; set "
+            "it up in the drive, or give encoder in the axis file",
             code="scale.position",
         )
     return numerator / denominator

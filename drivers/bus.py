@@ -1,4 +1,7 @@
-"""What a driver gives for the verbs of a drive to be made of: raw access by address, and the cycle."""
+"""What a driver gives for the verbs of a drive to be made of.
+
+Raw access by address, and the cycle.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,8 @@ GUARDS = 4  # signs of life within the time-out of a drive's watchdog
 class StopFrames:
     """What stops a drive on a port that has one owner: bytes, and how long to wait after each, s.
 
-    The port by its open descriptor, where that can be inherited, and by what opens it, where it is serial.
+    The port by its open descriptor, where that can be inherited, and by what opens it, where it is
+    serial.
     """
 
     descriptor: int | None
@@ -33,8 +37,8 @@ class StopFrames:
 class Exchange(NamedTuple):
     """One cyclic exchange, raw: the values of the profile's `cycle.in`, the times in s.
 
-    `in_force` are the values of `cycle.out` that acted until the feedback was latched, and `sent` is
-    when they left.
+    `in_force` are the values of `cycle.out` that acted until the feedback was latched, and `sent`
+    is when they left.
     """
 
     values: tuple[int, ...]
@@ -48,7 +52,8 @@ class Exchange(NamedTuple):
 class Bus(Protocol):
     """What a driver implements: raw access by address, and the cycle.
 
-    `read` and `write` raise LinkError, or AccessDenied (WriteDenied) when the drive answers with a refusal.
+    `read` and `write` raise LinkError, or AccessDenied (WriteDenied) when the drive answers with a
+    refusal.
     """
 
     cycle: float
@@ -74,13 +79,19 @@ class Bus(Protocol):
         """The serial port, where there is one."""
 
     def speak_through(self, stream: Stream | None) -> None:
-        """Give the serial port back and speak through `stream` from now on; None: through nothing, yet."""
+        """Give the serial port back and speak through `stream` from now on.
+
+        None: through nothing, yet.
+        """
 
     def frame(self, address: Address, raw: int) -> bytes:
         """What is written to the port for `post`."""
 
     def changes(self) -> dict[str, tuple[int, int]]:
-        """Objects of the bus' own that `start` changes in the drive: what is there, and what will be."""
+        """Objects of the bus' own that `start` changes in the drive.
+
+        What is there, and what will be.
+        """
 
     def put_back(self, old: dict[str, int]) -> bool:
         """Write back what `changes` named; the cycle ends with it. False: all was as before."""

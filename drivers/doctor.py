@@ -95,7 +95,8 @@ def _priority() -> Iterator[Check]:
         yield Check(
             "note",
             "no real-time priority for this user: under load cycles come late; to permit it, add "
-            "'@dialout - rtprio 80' and '@dialout - memlock unlimited' to /etc/security/limits.conf",
+            "'@dialout - rtprio 80' and '@dialout - memlock unlimited' to "
+            "/etc/security/limits.conf",
         )
 
 
@@ -106,7 +107,8 @@ def _clock() -> Iterator[Check]:
         time.sleep(_NAP)
         late.append(time.perf_counter() - begin - _NAP)
     middle, worst = statistics.median(late), max(late)
-    text = f"a sleep of {_NAP * 1000:g} ms is late by {middle * 1000:.2f} ms, {worst * 1000:.1f} ms at worst"
+    told = f"{middle * 1000:.2f} ms, {worst * 1000:.1f} ms at worst"
+    text = f"a sleep of {_NAP * 1000:g} ms is late by {told}"
     yield Check("ok" if middle < _LATE else "warning", text)
 
 
@@ -126,8 +128,9 @@ def _serial_ports() -> Iterator[Check]:
         if timer is not None and timer > _SLOW_LATENCY:
             yield Check(
                 "warning",
-                f"{port.device}: its latency timer is {timer} ms, so that every answer comes that late; "
-                f"'echo 1 | sudo tee {_timer_file(port.device)}' mends it until it is unplugged",
+                f"{port.device}: its latency timer is {timer} ms, so that every answer comes that "
+                f"late; 'echo 1 | sudo tee {_timer_file(port.device)}' mends it until it is "
+                "unplugged",
             )
 
 
@@ -164,7 +167,8 @@ def _can_interfaces() -> Iterator[Check]:
             if (folder / "operstate").read_text().strip() == "down":
                 yield Check(
                     "problem",
-                    f"{folder.name} is down: sudo ip link set {folder.name} up type can bitrate 500000",
+                    f"{folder.name} is down: sudo ip link set {folder.name} up type can bitrate "
+                    "500000",
                 )
             else:
                 yield Check("ok", f"CAN interface {folder.name} is up")
@@ -172,7 +176,8 @@ def _can_interfaces() -> Iterator[Check]:
         yield Check("note", "no CAN interface is there (ip link shows none of type can)")
 
 
-# -- a link -------------------------------------------------------------------------------------------
+# -- a link
+# -------------------------------------------------------------------------------------------
 
 
 def of_link(text: str, tell: Callable[[str], None]) -> Iterator[Check]:
@@ -211,8 +216,8 @@ def _of_canopen(link: Link, tell: Callable[[str], None]) -> Iterator[Check]:
         except LinkError as error:
             yield Check(
                 "problem",
-                f"bit rate: {error}; nobody acknowledges: is the bit rate right, the bus terminated (60 Ω "
-                "between CAN_H and CAN_L), the drive on?",
+                f"bit rate: {error}; nobody acknowledges: is the bit rate right, the bus "
+                "terminated (60 Ω between CAN_H and CAN_L), the drive on?",
             )
             return
     finally:
@@ -227,8 +232,8 @@ def _of_canopen(link: Link, tell: Callable[[str], None]) -> Iterator[Check]:
     else:
         yield Check(
             "problem",
-            "bit rate: nothing is heard and nobody answers: drive on? cable in? bit rate as set in the "
-            "drive? another channel of the adapter?",
+            "bit rate: nothing is heard and nobody answers: drive on? cable in? bit rate as set in "
+            "the drive? another channel of the adapter?",
         )
     numbers = [node.number for node in nodes if node.identity is not None]
     if wanted is not None and wanted in numbers:
@@ -307,6 +312,6 @@ def _of_modbus(link: Link, tell: Callable[[str], None]) -> Iterator[Check]:
             client.close()
     yield Check(
         "problem",
-        "line: no usual setting gets an answer: A and B swapped? termination? RS-485 and not RS-232? "
-        "drive on, and its own port enabled?",
+        "line: no usual setting gets an answer: A and B swapped? termination? RS-485 and not "
+        "RS-232? drive on, and its own port enabled?",
     )

@@ -104,7 +104,10 @@ class Drive(Protocol):
         """Value of a parameter; raises AccessDenied."""
 
     def write(self, name: str, raw: int) -> None:
-        """Write a raw value and read it back; raises WriteFailed when it is not what was written."""
+        """Write a raw value and read it back.
+
+        Raises WriteFailed when it is not what was written.
+        """
 
     def store(self) -> None:
         """Make the parameters non-volatile; raises WriteFailed."""

@@ -1,4 +1,7 @@
-"""What the error codes of emergencies and of 603Fh say, in words (CiA 301, 7.2.7; CiA 402-2, annex A)."""
+"""What the error codes of emergencies and of 603Fh say, in words (CiA 301, 7.2.7.
+
+CiA 402-2, annex A).
+"""
 
 from __future__ import annotations
 
@@ -28,21 +31,26 @@ _CODES = {
     0x7121: "the motor is blocked", 0x7122: "motor, or its commutation",
     0x7305: "incremental encoder 1", 0x7306: "incremental encoder 2", 0x7310: "speed",
     0x7320: "position", 0x7380: "position sensor", 0x7500: "communication with something inside",
-    0x8100: "communication", 0x8110: "CAN messages were lost", 0x8120: "the node's CAN is error passive",
-    0x8130: "heartbeat of the master lost, or guarding", 0x8140: "the node was bus-off and has recovered",
-    0x8150: "two nodes have the same COB-ID", 0x8210: "a PDO was too short", 0x8220: "a PDO was too long",
+    0x8100: "communication", 0x8110: "CAN messages were lost",
+    0x8120: "the node's CAN is error passive",
+    0x8130: "heartbeat of the master lost, or guarding",
+    0x8140: "the node was bus-off and has recovered",
+    0x8150: "two nodes have the same COB-ID", 0x8210: "a PDO was too short",
+    0x8220: "a PDO was too long",
     0x8230: "a destination of an MPDO is missing", 0x8240: "SYNC has a wrong length",
     0x8250: "a PDO did not come in time", 0x8311: "too much torque", 0x8312: "too much torque",
     0x8331: "too little torque", 0x8400: "speed control: too fast, or not as it was told",
     0x8500: "position control", 0x8600: "positioning", 0x8611: "following error",
-    0x8612: "reference limit", 0x8700: "synchronisation lost: jitter, or another period than 60C2h says",
+    0x8612: "reference limit",
+    0x8700: "synchronisation lost: jitter, or another period than 60C2h says",
     0x8800: "winding control", 0x8900: "process data", 0x8A00: "control",
 }  # fmt: skip
 # by the first digits, where the code itself is the vendor's
 _CLASSES = {
     0x21: "current at the input", 0x22: "current inside the drive", 0x23: "current at the motor",
     0x2: "current", 0x31: "mains voltage", 0x32: "voltage inside the drive", 0x33: "output voltage",
-    0x3: "voltage", 0x41: "ambient temperature", 0x42: "temperature of the drive", 0x4: "temperature",
+    0x3: "voltage", 0x41: "ambient temperature", 0x42: "temperature of the drive",
+    0x4: "temperature",
     0x5: "hardware of the drive", 0x61: "software of the drive", 0x62: "user software",
     0x63: "its parameters", 0x6: "software of the drive", 0x71: "power", 0x72: "measurement",
     0x73: "sensor", 0x7: "an additional module", 0x81: "communication", 0x82: "protocol",
@@ -50,7 +58,8 @@ _CLASSES = {
     0xFF: "of the vendor's own",
 }  # fmt: skip
 _REGISTER = (
-    "generic", "current", "voltage", "temperature", "communication", "profile", "reserved", "vendor",
+    "generic", "current", "voltage", "temperature", "communication", "profile", "reserved",
+    "vendor",
 )  # fmt: skip
 
 

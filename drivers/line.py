@@ -1,4 +1,7 @@
-"""The bus beneath a drive: who else is on it, and how another process stops the drive through it."""
+"""The bus beneath a drive.
+
+Who else is on it, and how another process stops the drive through it.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +28,15 @@ class Line:
         return self._bus.other_master()
 
     def stop_frames(self) -> StopFrames | None:
-        """What another process writes to our port to stop the drive; None: it connects by itself."""
+        """What another process writes to our port to stop the drive.
+
+        None: it connects by itself.
+        """
         return self._frames()
 
     def speak_through(self, stream: Stream | None) -> None:
-        """Give the serial port back and speak through `stream` from now on; None: through nothing."""
+        """Give the serial port back and speak through `stream` from now on.
+
+        None: through nothing.
+        """
         self._bus.speak_through(stream)

@@ -113,8 +113,8 @@ def open_drive(
     except AccessDenied as error:
         bus.close()
         raise LinkError(
-            f"something answers on {link.text}, but not like profile '{profile.name}': {error}; are "
-            "unit or node and profile right?",
+            f"something answers on {link.text}, but not like profile '{profile.name}': {error}; "
+            "are unit or node and profile right?",
             code="link.profile",
         ) from None
     except BaseException:
@@ -123,7 +123,9 @@ def open_drive(
 
 
 def open_to_stop(axis: Axis) -> ProfiledDrive:
-    """A way to stop the drive of `axis`, whose profile is known: nothing is asked, nothing is sent yet.
+    """A way to stop the drive of `axis`, whose profile is known.
+
+    Nothing is asked, nothing is sent yet.
 
     Raises UsageError, LinkError.
     """
@@ -214,8 +216,8 @@ def check_files_of_others(text: str, *keys: str) -> None:
         named = options.get(key)
         if named is not None and not Path(named).resolve().is_relative_to(home().resolve()):
             raise Refused(
-                f"{text}: its {key} is a file outside {home()}, and the link was written elsewhere: give one "
-                "of yours with --link",
+                f"{text}: its {key} is a file outside {home()}, and the link was written "
+                "elsewhere: give one of yours with --link",
                 code="link.file",
             )
 
@@ -276,8 +278,8 @@ def modbus_wire(link: Link, profile: Profile | None) -> Wire:
         }
         if "ca" not in files or ("key" in files and "cert" not in files):
             raise UsageError(
-                f"{link.text}: TLS needs ca=FILE, the authority that signed the drive's certificate, and "
-                "cert=FILE&key=FILE where the drive asks for ours"
+                f"{link.text}: TLS needs ca=FILE, the authority that signed the drive's "
+                "certificate, and cert=FILE&key=FILE where the drive asks for ours"
             )
         tls = Tls(files["ca"], files.get("cert"), files.get("key"))
     return TcpWire(host.strip("[]"), int(port), link.scheme == "modbus-rtu-tcp", tls, gap)
@@ -328,7 +330,10 @@ def _open_canopen(
 
 
 def stored_eds(text: str) -> bytes:
-    """The EDS that a CANopen drive carries in object 1021h; raises LinkError, AccessDenied, UsageError."""
+    """The EDS that a CANopen drive carries in object 1021h.
+
+    Raises LinkError, AccessDenied, UsageError.
+    """
     from drivers.canopen.wire import CanWire
 
     link = parse(text)

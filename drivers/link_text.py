@@ -1,7 +1,7 @@
 """What a LINK may say: a URL of names and known options, read in one place and for every act.
 
-Nothing in it is a path that is written to but the `state` of a virtual drive, and no name in it is a URL
-or a handler of the libraries below.
+Nothing in it is a path that is written to but the `state` of a virtual drive, and no name in it is
+a URL or a handler of the libraries below.
 """
 
 from __future__ import annotations
@@ -127,15 +127,18 @@ def host_and_port(link: Link) -> tuple[str, str]:
     found = _HOST_AND_PORT.fullmatch(link.place.rstrip("/"))
     if found is None or not 0 < int(found["port"] or 1) < 65536:
         raise UsageError(
-            f"'{link.text}' is no link: a Modbus link is {link.scheme}://HOST:PORT?unit=N, with letters, "
-            "digits, '.', '-' and '_' in HOST, or an IPv6 address in brackets"
+            f"'{link.text}' is no link: a Modbus link is {link.scheme}://HOST:PORT?unit=N, with "
+            "letters, digits, '.', '-' and '_' in HOST, or an IPv6 address in brackets"
         )
     own = _SECURE_PORT if link.scheme == "modbus-tls" else _MODBUS_PORT
     return found["host"], found["port"] or str(own)
 
 
 def name_of(link: Link) -> str:
-    """What people call the drive of a LINK that no axis file names: its place, and who it is there."""
+    """What people call the drive of a LINK that no axis file names.
+
+    Its place, and who it is there.
+    """
     if link.scheme == "virtual":
         return link.place.strip("/")
     if link.scheme == "canopen":
@@ -160,8 +163,9 @@ def _check_place(link: Link) -> None:
     elif link.scheme == "modbus-rtu":
         if not link.device.strip("/") or not _is_name(link.device):
             raise UsageError(
-                f"{link.text}: a serial link is modbus-rtu:///dev/ttyUSB0?baudrate=115200&parity=N&unit=1 "
-                f"or modbus-rtu:COM5?…; {_NAMES}"
+                f"{link.text}: a serial link is "
+                "modbus-rtu:///dev/ttyUSB0?baudrate=115200&parity=N&unit=1 or modbus-rtu:COM5?…; "
+                f"{_NAMES}"
             )
     elif link.scheme == "canopen":
         found = _SOCKETCAND.fullmatch(link.channel)
@@ -176,8 +180,9 @@ def _check_place(link: Link) -> None:
             )
         if is_socketcand and not (found and 0 < int(found["port"]) < 65536):
             raise UsageError(
-                f"{link.text}: a socketcand link is canopen://socketcand/HOST:PORT/CHANNEL?node=N; an "
-                "interface of this machine is canopen://socketcan/can0?node=N (socketcan, without d)"
+                f"{link.text}: a socketcand link is canopen://socketcand/HOST:PORT/CHANNEL?node=N; "
+                "an interface of this machine is canopen://socketcan/can0?node=N (socketcan, "
+                "without d)"
             )
     elif not _WORD.fullmatch(link.place.strip("/")):
         raise UsageError(
@@ -186,7 +191,7 @@ def _check_place(link: Link) -> None:
 
 
 def _is_name(text: str) -> bool:
-    """Whether it is a name of the system's, and no URL that a library opens by a handler of its own."""
+    """Whether it is a name of the system's, and no URL that a library would open."""
     return _NAME.fullmatch(text) is not None and "://" not in text
 
 

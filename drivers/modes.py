@@ -26,8 +26,9 @@ class Modes:
         codes = self._profile.modes.get(mode, ())
         if not codes and mode is Mode.TORQUE:
             raise PreflightRefused(
-                f"{self._profile} has no torque command, so no relay experiment can be run: record a "
-                "motion with the drive's own software, and give it to 'tworelay analyze FILE --for AXIS'",
+                f"{self._profile} has no torque command, so no relay experiment can be run: record "
+                "a motion with the drive's own software, and give it to 'tworelay analyze FILE "
+                "--for AXIS'",
                 code="mode.no-torque",
             )
         if not codes:
@@ -115,9 +116,10 @@ class SetPoint:
         """Raises PreflightRefused: `raw` does not fit."""
         step, unit, low, high = self.step, self._what.unit, self.lowest, self.highest
         raise PreflightRefused(
-            f"{raw * step:.4g} {unit} is {raw} of '{self.name}' ({self.address}), which takes {low:.0f}…"
-            f"{high:.0f}, that is {low * step:.4g}…{high * step:.4g} {unit}: is its scale right in "
-            f"profile '{self._what.profile}', and are gear, rated_torque and encoder in the axis file?",
+            f"{raw * step:.4g} {unit} is {raw} of '{self.name}' ({self.address}), which takes "
+            f"{low:.0f}…{high:.0f}, that is {low * step:.4g}…{high * step:.4g} {unit}: is its "
+            f"scale right in profile '{self._what.profile}', and are gear, rated_torque and "
+            "encoder in the axis file?",
             code="set-point.range",
             parameter=self.name,
             value=raw,

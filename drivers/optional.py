@@ -1,4 +1,7 @@
-"""What not every drive has: its profile without the objects that this one lacks, and what that means."""
+"""What not every drive has.
+
+Its profile without the objects that this one lacks, and what that means.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +19,8 @@ def as_it_is(
 ) -> tuple[Profile, tuple[str, ...]]:
     """The profile for the drive that is there, and a line about each thing that it cannot do.
 
-    Its parameters stay; what a job would do with those that are missing is left out. `has` asks the drive;
-    `can_guard`: the link carries the remote frames of life guarding.
+    Its parameters stay; what a job would do with those that are missing is left out. `has` asks the
+    drive; `can_guard`: the link carries the remote frames of life guarding.
     """
     changes: dict[str, object] = {}
     lines: list[str] = []
@@ -45,7 +48,7 @@ def as_it_is(
 def _watchdog(
     profile: Profile, lacks: Callable[[str | None], bool], *, can_guard: bool
 ) -> tuple[Watchdog, list[str]]:
-    """What watches the link of the drive that is there, and a line about what is not as the profile says."""
+    """What watches the drive's link, and a line about what is not as the profile says."""
     watchdog, lines = profile.watchdog, []
     none = {"kind": "none", "parameter": None}
     if lacks(watchdog.parameter):
@@ -61,8 +64,9 @@ def _watchdog(
         elif guards:
             watchdog = watchdog.model_copy(update=none)
             lines.append(
-                f"the drive has no heartbeat consumer ({at}), and its life guarding (100Ch) needs remote "
-                "frames, which this link does not carry: a dead link is not noticed; another adapter helps"
+                f"the drive has no heartbeat consumer ({at}), and its life guarding (100Ch) needs "
+                "remote frames, which this link does not carry: a dead link is not noticed; "
+                "another adapter helps"
             )
         else:
             watchdog = watchdog.model_copy(update=none)

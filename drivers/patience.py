@@ -16,7 +16,8 @@ _ROUNDING = 1e-6  # s
 def patiently(action: Callable[[], T], patience: float, wait: Callable[[], float]) -> T:
     """What `action` gives, asked again for `patience` s while the drive says that it is busy.
 
-    `wait` lets some time pass and says how much, s. Raises AccessDenied, and says how long it was asked.
+    `wait` lets some time pass and says how much, s. Raises AccessDenied, and says how long it was
+    asked.
     """
     waited = 0.0
     while True:
@@ -34,7 +35,9 @@ def patiently(action: Callable[[], T], patience: float, wait: Callable[[], float
 
 
 def when_up(action: Callable[[], T], patience: float, silence: float) -> T:
-    """What `action` gives, asked again for `patience` s while nothing answers: the drive may still boot.
+    """What `action` gives, asked again for `patience` s while nothing answers.
+
+    The drive may still boot.
 
     `silence` : s that each question takes to be given up. Raises NoAnswer.
     """

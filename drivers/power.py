@@ -1,4 +1,7 @@
-"""Energy on and off: by the CiA 402 state machine, or by the procedure that a profile writes down."""
+"""Energy on and off.
+
+By the CiA 402 state machine, or by the procedure that a profile writes down.
+"""
 
 from __future__ import annotations
 
@@ -83,8 +86,8 @@ def perform(
 ) -> None:
     """Write and wait as `steps` say; `wait` lets some time pass and says how much, s.
 
-    A drive that says it is busy is asked again, for `patience` s (default: the link's). Raises WriteFailed
-    when a wait is in vain, LinkError.
+    A drive that says it is busy is asked again, for `patience` s (default: the link's). Raises
+    WriteFailed when a wait is in vain, LinkError.
     """
     patience = profile.link.patience if patience is None else patience
     for step in steps:
@@ -104,7 +107,8 @@ def perform(
                 break
             if waited >= step.within:
                 raise WriteFailed(
-                    f"{what}: '{name}' reads {there} for {step.within:g} s instead of {step.equals}",
+                    f"{what}: '{name}' reads {there} for {step.within:g} s instead of "
+                    f"{step.equals}",
                     code="procedure.in-vain",
                 )
             waited += wait()
@@ -133,8 +137,8 @@ class Cia402Power:
             return ()
         self._told = ~cia402.INTERNAL_LIMIT
         text = (
-            "the drive says at rest, without energy, that an internal limit is active (6041h, bit 11): that "
-            "bit tells nothing here, and is not heeded"
+            "the drive says at rest, without energy, that an internal limit is active (6041h, bit "
+            "11): that bit tells nothing here, and is not heeded"
         )
         return (text,)
 
@@ -165,7 +169,10 @@ class Cia402Power:
         return patiently(action, self._busy, wait)
 
     def _tell(self, word: int, wait: Callable[[], float]) -> bool:
-        """A controlword. False: no answer says that it was heard; the next look at the state tells."""
+        """A controlword.
+
+        False: no answer says that it was heard; the next look at the state tells.
+        """
         with contextlib.suppress(NoAnswer):
             self._patiently(lambda: self._bus.write(self._control, word), wait)
             return True
@@ -218,9 +225,9 @@ class Cia402Power:
             height = _WAY_UP.index(here) if here in _WAY_UP else 0
             if enabled and height < reached:
                 raise DriveFault(
-                    f"the drive fell back to '{here}' while it was enabled (STO, a limit switch, an enable "
-                    f"input; or its watchdog, for which this link is too slow: 'tworelay latency'): "
-                    f"{self._describe()}; it is not tried again",
+                    f"the drive fell back to '{here}' while it was enabled (STO, a limit switch, "
+                    "an enable input; or its watchdog, for which this link is too slow: 'tworelay "
+                    f"latency'): {self._describe()}; it is not tried again",
                     code="power.fell-back",
                 )
             reached = height
@@ -305,7 +312,8 @@ class ProcedurePower:
         """The profile's reset steps; raises PreflightRefused where there are none."""
         if not self._power.reset:
             raise PreflightRefused(
-                f"profile '{self._profile.name}' has no way to reset a fault: reset it at the drive",
+                f"profile '{self._profile.name}' has no way to reset a fault: reset it at the "
+                "drive",
                 code="fault.no-reset",
             )
         self._perform(self._power.reset, "reset", lambda: self._pause(_POLL))
@@ -373,6 +381,6 @@ class ProcedurePower:
 def _stuck(here: str, patience: float, *, enabled: bool) -> str:
     goal = "enabled" if enabled else "disabled"
     return (
-        f"the drive does not become {goal}: it stays '{here}' for {patience:g} s "
-        "(STO or enable input open, or no mains? If it needs longer: [patience] enable in its profile)"
+        f"the drive does not become {goal}: it stays '{here}' for {patience:g} s (STO or enable "
+        "input open, or no mains? If it needs longer: [patience] enable in its profile)"
     )

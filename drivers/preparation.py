@@ -1,4 +1,7 @@
-"""What a job will change in a drive, and put back: read and worked out before anything is written."""
+"""What a job will change in a drive, and put back.
+
+Read and worked out before anything is written.
+"""
 
 from __future__ import annotations
 
@@ -40,8 +43,8 @@ class Preparation:
             if not condition.holds(there):
                 parameter = self._access.parameter(condition.parameter)
                 raise PreflightRefused(
-                    f"'{condition.parameter}' ({parameter.address}, {parameter.title}) reads {there}, "
-                    f"and {condition}: set it in the drive first",
+                    f"'{condition.parameter}' ({parameter.address}, {parameter.title}) reads "
+                    f"{there}, and {condition}: set it in the drive first",
                     code="preflight.requires",
                 )
         self._check_enabling_value()
@@ -55,8 +58,9 @@ class Preparation:
                 continue
             if self._access.read(step.write) == step.raw:
                 raise PreflightRefused(
-                    f"'{step.write}' ({self._access.parameter(step.write).address}) reads {step.raw}, "
-                    "which enables the drive: what uses it? Set it to another value first",
+                    f"'{step.write}' ({self._access.parameter(step.write).address}) reads "
+                    f"{step.raw}, which enables the drive: what uses it? Set it to another value "
+                    "first",
                     code="preflight.enabling-value",
                 )
 
@@ -80,7 +84,10 @@ class Preparation:
         return found
 
     def _standard(self) -> dict[str, int]:
-        """What CiA 402 asks of any mode: the period of the set-points, and a quick stop that ends."""
+        """What CiA 402 asks of any mode.
+
+        The period of the set-points, and a quick stop that ends.
+        """
         found: dict[str, int] = {}
         value = self._access.optional("interpolation_time")
         power = self._access.optional("interpolation_exponent")

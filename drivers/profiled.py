@@ -40,8 +40,8 @@ _IDENTITY = {
 class ProfiledDrive:
     """A drive on `bus` as `profile` describes it, moving `axis`.
 
-    Raises PreflightRefused when the bases of the scaling cannot be known; `to_stop` does not ask for
-    them, so that nothing stands between the user and `stop`.
+    Raises PreflightRefused when the bases of the scaling cannot be known; `to_stop` does not ask
+    for them, so that nothing stands between the user and `stop`.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class ProfiledDrive:
             self.lacking += self._power.peculiarities()
 
     def _position_counter(self, *, to_stop: bool) -> Counter:
-        """It wraps within its position range limit (607Bh), where it has one, else at its type's width."""
+        """It wraps within its position range limit (607Bh), else at its type's width."""
         low, high = self._access.parameter("position_actual").address.raw_range
         if not to_stop:
             least = self._access.optional("position_range_min")
@@ -117,7 +117,10 @@ class ProfiledDrive:
         return identity.model_copy(update=told)
 
     def read(self, name: str) -> Value:
-        """Value of a parameter; raises LinkError, AccessDenied. A position that wraps is unwrapped in SI."""
+        """Value of a parameter; raises LinkError, AccessDenied.
+
+        A position that wraps is unwrapped in SI.
+        """
         what = self.parameters[name]
         raw = self._access.read(name)
         whole = raw
@@ -258,7 +261,10 @@ class ProfiledDrive:
         self._access.patiently(self._rest)
 
     def _rest(self) -> None:
-        """Zero as the torque command of a drive without energy: no stale one waits for the next master."""
+        """Zero as the torque command of a drive without energy.
+
+        No stale one waits for the next master.
+        """
         if self._set_point.mode is not Mode.TORQUE:
             return
         try:

@@ -18,8 +18,8 @@ _MCL_CURRENT, _MCL_FUTURE = 1, 2  # <sys/mman.h> on Linux
 def real_time(*, below: int = 0) -> Generator[bool]:
     """Run the body with SCHED_FIFO and pages that stay in memory; the value says whether it is so.
 
-    `below`: by how much the priority is under the loop's, so that what serves the loop yields to it.
-    Everything is as before afterwards. Other systems than Linux run the body as it is.
+    `below`: by how much the priority is under the loop's, so that what serves the loop yields to
+    it. Everything is as before afterwards. Other systems than Linux run the body as it is.
     """
     if sys.platform != "linux":
         yield False

@@ -36,7 +36,10 @@ class Scaling:
     turned: frozenset[Address] = frozenset()
 
     def step(self, parameter: Parameter) -> float:
-        """Value of one raw step in SI at the axis; negative where the drive counts against its motor."""
+        """Value of one raw step in SI at the axis.
+
+        Negative where the drive counts against its motor.
+        """
         step = parameter.scale * self.step_of(parameter.unit)
         return -step if parameter.address in self.turned else step
 

@@ -51,8 +51,8 @@ def scan(
 ) -> list[Heard]:
     """Look at a bus by a LINK without a node or unit; raises UsageError, LinkError.
 
-    `units` are asked one after the other on Modbus; on CANopen all nodes are asked at once. `tell` hears
-    each unit before it is asked. `timeout`: s for one of them.
+    `units` are asked one after the other on Modbus; on CANopen all nodes are asked at once. `tell`
+    hears each unit before it is asked. `timeout`: s for one of them.
     """
     link = parse(text)
     if link.scheme == "virtual":

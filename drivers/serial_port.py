@@ -1,7 +1,7 @@
 """A serial port, and one that another process owns: the owner passes the bytes on.
 
-Where a process cannot inherit an open port (Windows), the guardian owns it while the axis may move, and
-the loop speaks through a socket. When the guardian ends, the loop opens the port itself.
+Where a process cannot inherit an open port (Windows), the guardian owns it while the axis may move,
+and the loop speaks through a socket. When the guardian ends, the loop opens the port itself.
 """
 
 from __future__ import annotations
@@ -86,7 +86,10 @@ class SerialPort:
             raise OSError(*error.args) from None
 
     def open_when_free(self, patience: float = 2.0) -> serial.Serial:
-        """The open port, as soon as its owner has ended, at most `patience` s from now; raises OSError."""
+        """The open port, as soon as its owner has ended, at most `patience` s from now.
+
+        Raises OSError.
+        """
         for _ in range(round(patience / _PAUSE)):
             with contextlib.suppress(OSError):
                 return self.open()
@@ -95,7 +98,9 @@ class SerialPort:
 
 
 class LentPort:
-    """A port that another process owns, spoken to through `link`; this process' own once that is gone.
+    """A port that another process owns, spoken to through `link`.
+
+    This process' own once that is gone.
 
     `patience` : s that the owner may take to end once it has hung up
     """
@@ -181,7 +186,7 @@ class LentPort:
 
 
 class Lending:
-    """An open port whose owner passes bytes on between it and a borrower, until it speaks itself."""
+    """An open port whose owner passes bytes between it and a borrower, until it speaks."""
 
     def __init__(self, port: serial.Serial) -> None:
         self._port = port

@@ -38,7 +38,8 @@ def set_simulation(
 ) -> None:
     """Let the drive's own clock know; raises LinkError where it has none.
 
-    `is_twin` : whether the drive says that it is a virtual one, asked where the profile is another drive's
+    `is_twin` : whether the drive says that it is a virtual one, asked where the profile is another
+        drive's
     """
     parameter = profile.parameters.get(name)
     if parameter is not None:

@@ -1,4 +1,7 @@
-"""The stop path: it acts before it asks, needs nothing that may have failed, and says what it reached."""
+"""The stop path.
+
+It acts before it asks, needs nothing that may have failed, and says what it reached.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +24,8 @@ T = TypeVar("T")
 _POLL = 0.005  # s between two looks at a drive that is stopping
 _AT_REST, _RESTING = 3, 1e-4  # increments, or revolutions, between two looks: it does not move
 _FEWEST_LOOKS = 3
-# a stop that makes the axis faster is none: a speed that is more than so many times that of the first looks,
-# and so many revolutions a second more, in so many looks
+# a stop that makes the axis faster is none: a speed that is more than so many times that of the
+# first looks, and so many revolutions a second more, in so many looks
 _TIMES, _REVOLUTIONS, _FIRST_LOOKS, _FASTER_LOOKS = 1.2, 0.3, 2, 2
 _BETWEEN_FRAMES = 0.03  # s, for an answer that nobody reads
 _REPEATS = 3  # of frames that nobody confirms
@@ -122,7 +125,10 @@ class StopPath:
         self._looks = max(round(profile.stop_time / _POLL), _FEWEST_LOOKS)
 
     def frames(self, rest: Rest) -> StopFrames | None:
-        """What another process writes to our port to stop the drive; None: it connects by itself."""
+        """What another process writes to our port to stop the drive.
+
+        None: it connects by itself.
+        """
         descriptor, port = self._bus.descriptor(), self._bus.port()
         if descriptor is None and port is None:
             return None
@@ -130,7 +136,10 @@ class StopPath:
         every: list[tuple[bytes, float]] = []
 
         def add(writes: list[tuple[Address, int]], pause: float) -> None:
-            """Frames at once, and twice more in case that one is lost; then a pause, for nobody reads."""
+            """Frames at once, and twice more in case that one is lost.
+
+            Then a pause, for nobody reads.
+            """
             every.extend(
                 (self._bus.frame(address, raw), _BETWEEN_FRAMES)
                 for address, raw in writes * _REPEATS
@@ -147,7 +156,10 @@ class StopPath:
     def _groups(
         self, steps: tuple[Step, ...], writes: list[tuple[Address, int]]
     ) -> list[tuple[list[tuple[Address, int]], float]]:
-        """Writes up to a step that waits, and how long that may take, s; then those up to the next one."""
+        """Writes up to a step that waits, and how long that may take, s.
+
+        Then those up to the next one.
+        """
         found, group = [], list(writes)
         for step in steps:
             if step.until is None:
@@ -169,13 +181,16 @@ class StopPath:
     ) -> StopReport:
         """Rest set-point and quick stop at once, then look, then take the energy away, then look.
 
-        `hurry` says that the energy must go now, without waiting for standstill; `afterwards` is done on
-        a drive that has none any more. Never raises.
+        `hurry` says that the energy must go now, without waiting for standstill; `afterwards` is
+        done on a drive that has none any more. Never raises.
         """
         said = _Said(self._bus)
 
         def perform(steps: tuple[Step, ...]) -> None:
-            """Writes at once, up to a step that waits; an `until` is waited for, and told when in vain."""
+            """Writes at once, up to a step that waits.
+
+            An `until` is waited for, and told when in vain.
+            """
             for step in steps:
                 if step.until is not None:
                     said.attempt(lambda step=step: self._await(step, hurry))  # type: ignore[misc]
@@ -240,8 +255,9 @@ class StopPath:
     def _await_standstill(self, hurry: Callable[[], bool], again: Callable[[], None]) -> None:
         """Wait until the drive has stopped the axis and closed the brake, at most `stop_time`.
 
-        Where a drive has no word for braking, one that is not enabled any more may still brake: then the
-        axis has to be at rest, too. An axis that becomes faster is not being stopped: then the energy goes.
+        Where a drive has no word for braking, one that is not enabled any more may still brake:
+        then the axis has to be at rest, too. An axis that becomes faster is not being stopped: then
+        the energy goes.
         """
         at, time = self._position(), self._bus.now()
         most, faster, resting = 0.0, 0, 0

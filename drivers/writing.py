@@ -13,8 +13,8 @@ __all__ = ["WhyNot", "why_not_written"]
 _FOR_GOOD = Protection.COMPENSATION, Protection.GAIN
 _SETTINGS = Protection.EXPERIMENT, *_FOR_GOOD
 _CHECK = (
-    "check the drive's manual, mark it verified in a copy of the profile (tworelay profile show), and "
-    "identify with that"
+    "check the drive's manual, mark it verified in a copy of the profile (tworelay profile show), "
+    "and identify with that"
 )
 _BASE = "give torque_constant (N.m/A of the motor) in the axis file"
 
@@ -70,7 +70,8 @@ def _reasons(
         if what.doubtful_base:
             yield WhyNot(
                 "write.base",
-                f"{at} is a current, and the rated current ({what.doubtful_base}) is unverified {by}",
+                f"{at} is a current, and the rated current ({what.doubtful_base}) is unverified "
+                f"{by}",
                 _BASE,
             )
     low, high = says.range
@@ -81,13 +82,13 @@ def _reasons(
     if not says.allows(old):
         yield WhyNot(
             "write.no-way-back",
-            f"{name} reads {old}, which is not allowed to be written back {by} ({low:g}…{high:g}): it was "
-            "left as it is",
+            f"{name} reads {old}, which is not allowed to be written back {by} ({low:g}…{high:g}): "
+            "it was left as it is",
         )
     step = 0.0 if raw is None else abs(says.number(raw) - says.number(old))
     if says.largest_step is not None and step > says.largest_step:
         yield WhyNot(
             "write.step",
-            f"{name}: the step from {old} to {raw} is larger than the {says.largest_step} that is allowed "
-            f"at once {by}; nothing was written",
+            f"{name}: the step from {old} to {raw} is larger than the {says.largest_step} that is "
+            f"allowed at once {by}; nothing was written",
         )

@@ -66,9 +66,9 @@ class MailboxAddress(Strict):
 class ModbusAddress(Strict):
     """Holding registers, counted from 0 as on the wire.
 
-    `word_order` says which word of a wider value lies at the lower address. Where only some bits of a
-    register are the parameter, `bits` is their mask, and the raw value is what stands in them; they are
-    written by FC 22, or else read, changed and written back.
+    `word_order` says which word of a wider value lies at the lower address. Where only some bits of
+    a register are the parameter, `bits` is their mask, and the raw value is what stands in them;
+    they are written by FC 22, or else read, changed and written back.
     """
 
     register_: Annotated[int, Field(ge=0, le=0xFFFF, alias="register")]
@@ -111,7 +111,7 @@ Address = CanopenAddress | ModbusAddress | MailboxAddress
 
 
 def kind_of_address(value: Any) -> str:
-    """An address with an index is an object, one with a pnu is behind a mailbox, any other is a register."""
+    """With an index it is an object, with a pnu behind a mailbox, else a register."""
     for key, kind in (("index", "canopen"), ("pnu", "mailbox")):
         there = value.get(key) if isinstance(value, dict) else getattr(value, key, None)
         if there is not None and not callable(there):

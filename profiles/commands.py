@@ -1,4 +1,7 @@
-"""Which parameters of a drive command it: its power, its mode, its set-points; and what may be put back."""
+"""Which parameters of a drive command it: its power, its mode, its set-points.
+
+And what may be put back.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,8 @@ class Commands:
     positions : those of them that are positions of this axis
     restorable : whatever may be written back at all, settings included
     controlwords : controlwords of CiA 402
-    by_procedure : parameters and raw values by which the profile enables the drive, and nothing else it does
+    by_procedure : parameters and raw values by which the profile enables the drive, and nothing
+        else it does
     """
 
     names: frozenset[str]
@@ -90,7 +94,7 @@ def _writes(steps: tuple[Step, ...]) -> set[tuple[str, int]]:
 
 
 def _at(profile: Profile, indices: set[int], *, own: bool = False) -> set[str]:
-    """Names of the parameters at these objects of CiA 402, of each axis of the drive, or of the `own`."""
+    """Names of the parameters at these objects of CiA 402, of each axis or of the `own`."""
     word = profile.parameters.get("controlword")
     axis = getattr(word.address, "index", _CONTROLWORD) - _CONTROLWORD if word is not None else 0
     found = set()

@@ -1,4 +1,7 @@
-"""Device configuration files (CiA 306): the objects that were changed, for the tools of other makers."""
+"""Device configuration files (CiA 306).
+
+The objects that were changed, for the tools of other makers.
+"""
 
 from __future__ import annotations
 

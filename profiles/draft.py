@@ -1,8 +1,8 @@
 """Draft profiles from an EDS or DCF.
 
-A draft is a profile text that loads, with what is not known left out and said. What a file cannot tell –
-units, what a value does – stays the standard's word, and trust `derived`: `apply` needs `verified` or better
-only for what it writes, and no draft has a compensation to write.
+A draft is a profile text that loads, with what is not known left out and said. What a file cannot
+tell – units, what a value does – stays the standard's word, and trust `derived`: `apply` needs
+`verified` or better only for what it writes, and no draft has a compensation to write.
 """
 
 from __future__ import annotations
@@ -88,15 +88,15 @@ def _refuse(eds: Eds, origin: str) -> None:
             " (its 60B2h torque offset is an addition, no command)" if eds.entry(0x60B2) else ""
         )
         raise ProfileError(
-            f"{origin}: the drive has no 6071h target torque, so no torque can be commanded and no relay "
-            f"experiment run{offset}; it cannot be used"
+            f"{origin}: the drive has no 6071h target torque, so no torque can be commanded and no "
+            f"relay experiment run{offset}; it cannot be used"
         )
     modes = eds.entry(0x6502)
     supported = modes.default if modes else None
     if supported and not supported >> _TORQUE & 1 and not supported >> _CYCLIC_TORQUE & 1:
         raise ProfileError(
-            f"{origin}: 6502h supported drive modes is 0x{supported:X}: neither torque (bit 3) nor cyclic "
-            "torque (bit 9); no relay experiment can be run, it cannot be used"
+            f"{origin}: 6502h supported drive modes is 0x{supported:X}: neither torque (bit 3) nor "
+            "cyclic torque (bit 9); no relay experiment can be run, it cannot be used"
         )
 
 
@@ -188,8 +188,8 @@ def _without_what_is_missing(document: TOMLDocument, eds: Eds) -> list[str]:
     limit = eds.entry(0x6072)
     if limit is not None and limit.default is not None and limit.default >= _NO_LIMIT:
         notes.append(
-            f"6072h max torque is delivered with {limit.default} per mille, which means no limit: it is set "
-            "and read back before every experiment"
+            f"6072h max torque is delivered with {limit.default} per mille, which means no limit: "
+            "it is set and read back before every experiment"
         )
     if "rated_torque" not in parameters:
         notes.append("no 6076h: give rated_torque (N.m of the motor) in the axis file")

@@ -1,7 +1,7 @@
 """EDS and DCF files of CANopen drives (CiA 306), read as they are out there.
 
-Files of real drives break the standard in many small ways. What can be understood is mended, and each
-mending is reported with its line; what is no EDS is refused.
+Files of real drives break the standard in many small ways. What can be understood is mended, and
+each mending is reported with its line; what is no EDS is refused.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ class Eds:
     Attributes
     ----------
     vendor_name, product_name : texts
-    vendor, product, revision : numbers of object 1018h by the header, None where they are not said; the
-        header of some files names another company: the bus knows better
+    vendor, product, revision : numbers of object 1018h by the header, None where they are not said;
+        the header of some files names another company: the bus knows better
     entries : by (index, sub)
     mended : in the order of the file
     """

@@ -1,7 +1,7 @@
 """The one exception tree of tworelay, and the exit code that each branch ends with.
 
-Here is its root, and what profiles raise; what links and drives raise is in `drivers.errors`, what a job
-raises in `commissioning.errors`.
+Here is its root, and what profiles raise; what links and drives raise is in `drivers.errors`, what
+a job raises in `commissioning.errors`.
 
     TwoRelayError                      1   a bug, if it is ever raised as itself
     ├── UsageError                     2   "--travel abc", a file that is no TOML
@@ -15,12 +15,12 @@ raises in `commissioning.errors`.
     │   └── LinkLost                   4   was there, and is gone
     ├── DriveFault                     5   the drive reported a fault in motion
     │   └── EnvelopeTripped            5   a limit of ours was about to be passed
-    │       └── FeedbackReversed       5   the position answers against the torque: no brake but friction
-    ├── MeasurementRejected            6   friction above the torque limit, no limit cycle
+    │       └── FeedbackReversed       5   the position answers against the torque: no brake but
+    friction ├── MeasurementRejected            6   friction above the torque limit, no limit cycle
     ├── AccessDenied                   4   SDO abort, Modbus exception: the drive refuses to be read
     ├── WriteFailed                    7   write, read-back, store or restore incomplete
-    │   ├── WriteDenied                7   SDO abort, Modbus exception: the drive refuses to be written to
-    │   └── JournalError               7   the journal cannot be written
+    │   ├── WriteDenied                7   SDO abort, Modbus exception: the drive refuses to be
+    written to │   └── JournalError               7   the journal cannot be written
     ├── DoesNotHelp                    8   the compensation was tried, and is taken back
     └── Interrupted              130, 143  SIGINT, SIGTERM
 

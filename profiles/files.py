@@ -17,10 +17,12 @@ _TRIES, _PAUSE = 100, 0.02  # s: until whoever reads a file on Windows has done
 
 
 def contents(path: Path, most: int, *, links: bool = True) -> bytes:
-    """What a file of at most `most` bytes holds; raises OSError, also for what is no file or is larger.
+    """What a file of at most `most` bytes holds.
 
-    Devices and pipes, which have no size and no end, are refused before they are opened, and without
-    `links` what leads elsewhere, too.
+    Raises OSError, also for what is no file or is larger.
+
+    Devices and pipes, which have no size and no end, are refused before they are opened, and
+    without `links` what leads elsewhere, too.
     """
     if not links and path.is_symlink():
         raise OSError(errno.ELOOP, "it is a link, and none is followed here")
@@ -41,7 +43,8 @@ def contents(path: Path, most: int, *, links: bool = True) -> bytes:
 def replace(path: Path, content: bytes) -> None:
     """Write a file so that it holds the old content or the new one, whenever the power fails.
 
-    Raises OSError. On Windows nobody's file can be replaced while somebody reads it: that is waited for.
+    Raises OSError. On Windows nobody's file can be replaced while somebody reads it: that is waited
+    for.
     """
     fresh = path.with_name(f".{path.name[:100]}.{secrets.token_hex(8)}.new")
     try:

@@ -1,6 +1,7 @@
 """JSON Schema of a drive profile, for editors: `python -m profiles.json_schema` prints it.
 
-A profile that extends another one may leave out whatever that one has, so nothing is required of it.
+A profile that extends another one may leave out whatever that one has, so nothing is required of
+it.
 """
 
 from __future__ import annotations

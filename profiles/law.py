@@ -40,7 +40,10 @@ class TermValue(NamedTuple):
 
 
 class _Term(NamedTuple):
-    """One term of a law: what it is given, and whether it is friction, of which a share can be tried."""
+    """One term of a law.
+
+    What it is given, and whether it is friction, of which a share can be tried.
+    """
 
     value: Callable[[Amount], float | None]
     why: str
@@ -95,7 +98,10 @@ class CompensationLaw(StrEnum):
 
 
 class TablePoint(Strict):
-    """One point of a friction table: the parameters that hold it, and the speed to give it (rad/s, motor)."""
+    """One point of a friction table.
+
+    The parameters that hold it, and the speed to give it (rad/s, motor).
+    """
 
     speed: str
     torque: str
@@ -106,9 +112,10 @@ class Compensation(Strict):
     """Where the friction compensation of the drive is written.
 
     The terms name parameters. `negative_sign` is the sign with which the drive stores the
-    compensation of the negative direction. `acts_in` lists the modes in which it has an effect. `host`
-    names the torque offset that a master writes in every cycle (60B2h); tworelay never leaves one behind.
-    `acts_stored`: a value has no effect until it is stored, so that it cannot be proved before.
+    compensation of the negative direction. `acts_in` lists the modes in which it has an effect.
+    `host` names the torque offset that a master writes in every cycle (60B2h); tworelay never
+    leaves one behind. `acts_stored`: a value has no effect until it is stored, so that it cannot be
+    proved before.
     """
 
     law: CompensationLaw
@@ -135,7 +142,10 @@ class Compensation(Strict):
         return found
 
     def values(self, amount: Amount) -> dict[str, TermValue]:
-        """What compensates `amount`, by parameter; what stays as it is in the drive is not in it."""
+        """What compensates `amount`, by parameter.
+
+        What stays as it is in the drive is not in it.
+        """
         found = {}
         for name, term in _TERMS.items():
             parameter, value = getattr(self, name), term.value(amount)
@@ -172,7 +182,8 @@ class Compensation(Strict):
             takes = ", ".join(sorted(must | may)) or "no parameters"
             raise ValueError(
                 f"law '{self.law}' takes {takes}, and the profile names "
-                f"{', '.join(sorted(extra))}, too: leave that out, or name the law that it belongs to"
+                f"{', '.join(sorted(extra))}, too: leave that out, or name the law that it belongs "
+                "to"
             )
         if (self.law is CompensationLaw.HOST) != (self.host is not None):
             raise ValueError("law 'host' names the torque offset as host, and no other law does")
@@ -182,9 +193,9 @@ class Compensation(Strict):
 class LoopGains(Strict):
     """The drive's own loops: how late they are, and where their gains are written.
 
-    P of the position over PI of the velocity; all three gains are mapped, or none. `dead_time` is from the
-    sample of the position to the torque, the hold of the loop's own period left out; `lag` names a
-    parameter with the time constant of the torque loop, which comes on top.
+    P of the position over PI of the velocity; all three gains are mapped, or none. `dead_time` is
+    from the sample of the position to the torque, the hold of the loop's own period left out; `lag`
+    names a parameter with the time constant of the torque loop, which comes on top.
     """
 
     period: Annotated[float, Field(gt=0)]  # s

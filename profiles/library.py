@@ -46,8 +46,9 @@ def builtin_names() -> list[str]:
 def load_profile(name_or_path: str, *, lenient: bool = False) -> Profile:
     """A built-in profile by its name, or any profile by the path of its file; raises ProfileError.
 
-    What `check` calls an error is one. Not so with `lenient`, for stopping, restoring and reporting, which
-    must not fail on what an older version took: keys that are not known are passed over, too.
+    What `check` calls an error is one. Not so with `lenient`, for stopping, restoring and
+    reporting, which must not fail on what an older version took: keys that are not known are passed
+    over, too.
     """
     profile = read_profile(name_or_path, lenient=lenient)
     if not _is_path(name_or_path):
@@ -93,7 +94,7 @@ def _profile_of(text: str, origin: str, *, lenient: bool = False) -> Profile:
 
 
 def _extended(tree: dict[str, Any], origin: str) -> dict[str, Any]:
-    """A tree on top of the built-in profile that it `extends`, less the sections and parameters `without`."""
+    """A tree on top of the built-in profile that it `extends`, less what is `without`."""
     base = tree.pop("extends", None)
     without = tree.pop("without", [])
     if base is None:
@@ -147,7 +148,7 @@ def fitting(identity: Identity, bus: str) -> Profile:
         return fits[0]
     if identity == NOBODY:
         raise IdentityMismatch(
-            f"the drive does not say who it is, so its profile is not known: give --profile (one of "
+            "the drive does not say who it is, so its profile is not known: give --profile (one of "
             f"'tworelay profile list' for {bus}, or your own file)"
         )
     if not fits:

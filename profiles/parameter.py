@@ -69,9 +69,9 @@ class Trust(StrEnum):
 class Parameter(Strict):
     """One parameter of the drive.
 
-    The value in SI is its number times `scale`, times what `unit` stands for in this drive; the number is the
-    raw value, or of an f32 the one whose bits the raw value has. `minimum`, `maximum` and `largest_step` are
-    numbers, `forbidden` lists raw values that must never be written.
+    The value in SI is its number times `scale`, times what `unit` stands for in this drive; the
+    number is the raw value, or of an f32 the one whose bits the raw value has. `minimum`, `maximum`
+    and `largest_step` are numbers, `forbidden` lists raw values that must never be written.
     """
 
     address: Annotated[
@@ -136,7 +136,7 @@ class Parameter(Strict):
         return value
 
     def nearest_raw(self, number: float) -> int:
-        """The raw value that stands for a number, or for the nearest one that the drive can hold."""
+        """The raw value of a number, or of the nearest one that the drive can hold."""
         if not self.is_float:
             return round(number)
         clipped = max(-_LARGEST_F32, min(_LARGEST_F32, number))

@@ -1,4 +1,7 @@
-"""Text that others wrote – a drive, a file, a link – as it may be shown: nothing in it acts on a terminal."""
+"""Text that others wrote – a drive, a file, a link – as it may be shown.
+
+Nothing in it acts on a terminal.
+"""
 
 from __future__ import annotations
 

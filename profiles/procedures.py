@@ -76,7 +76,7 @@ class Step(Strict):
 
 
 class Condition(Strict):
-    """Bits of a parameter that read `equals`, or one of the values `among`, or anything but `differs`."""
+    """Bits of a parameter that read `equals`, a value `among`, or not `differs`."""
 
     parameter: str
     mask: int = -1
@@ -119,10 +119,10 @@ class Condition(Strict):
 class Power(Strict):
     """How a drive without the CiA 402 state machine is energised, and how it says so.
 
-    Its energy is taken by the profile's `disable`. `stopping`: it brakes, and takes no commands any more;
-    without that sign only the position tells when it has come to rest. `fault` and `stopping` are watched
-    in every cycle where their parameter is in the cycle. `enable` is empty only where there is no torque
-    command: such a drive is never energised.
+    Its energy is taken by the profile's `disable`. `stopping`: it brakes, and takes no commands any
+    more; without that sign only the position tells when it has come to rest. `fault` and `stopping`
+    are watched in every cycle where their parameter is in the cycle. `enable` is empty only where
+    there is no torque command: such a drive is never energised.
     """
 
     enable: tuple[Step, ...] = ()
@@ -135,8 +135,8 @@ class Power(Strict):
 class ModeCode(Strict):
     """How a mode is asked for: value for `mode_of_operation`, bit that says it is supported.
 
-    `before` is written before the mode is enabled and put back after the experiment; it is all there is
-    where a drive has no `mode_of_operation`.
+    `before` is written before the mode is enabled and put back after the experiment; it is all
+    there is where a drive has no `mode_of_operation`.
     """
 
     code: int | None = None
@@ -148,9 +148,9 @@ class ModeCode(Strict):
 class Cycle(Strict):
     """What is exchanged every cycle.
 
-    Modbus: one block of registers is written and one read (FC 23, or FC 16 or 6, then FC 3). Up to `gap`
-    registers between two that are wanted are read along; further apart, each block is a transaction.
-    CANopen: one RPDO out, SYNC, one TPDO in; each list is the PDO's mapping in order.
+    Modbus: one block of registers is written and one read (FC 23, or FC 16 or 6, then FC 3). Up to
+    `gap` registers between two that are wanted are read along; further apart, each block is a
+    transaction. CANopen: one RPDO out, SYNC, one TPDO in; each list is the PDO's mapping in order.
     """
 
     out: tuple[str, ...]
@@ -162,10 +162,12 @@ class Cycle(Strict):
 
 
 class Mailbox(Strict):
-    """Registers through which parameters are reached by number: fill in, execute, look, take the data.
+    """Registers through which parameters are reached by number.
 
-    `request` takes `read_code` or `write_code`, and reads `done_code` when the data are there. Data have
-    their length in bytes, and their low word first.
+    Fill in, execute, look, take the data.
+
+    `request` takes `read_code` or `write_code`, and reads `done_code` when the data are there. Data
+    have their length in bytes, and their low word first.
     """
 
     pnu: int
@@ -183,8 +185,8 @@ class Mailbox(Strict):
 class Watchdog(Strict):
     """The drive-side watchdog of communication and how it is armed.
 
-    `parameter` takes the time-out; `kind` says what feeds it: the cyclic command, any request, a heartbeat,
-    or the remote frames of life guarding (CiA 301, 7.2.8.2.2).
+    `parameter` takes the time-out; `kind` says what feeds it: the cyclic command, any request, a
+    heartbeat, or the remote frames of life guarding (CiA 301, 7.2.8.2.2).
     """
 
     kind: Literal["cycle", "traffic", "heartbeat", "guarding", "none"]
@@ -200,7 +202,10 @@ class Watchdog(Strict):
 
     @property
     def deadline(self) -> float:
-        """Time-out of one cyclic answer, s: three missed ones come before the drive's own time-out."""
+        """Time-out of one cyclic answer, s.
+
+        Three missed ones come before the drive's own time-out.
+        """
         return self.timeout / 4
 
 
@@ -212,7 +217,10 @@ class Store(Strict):
 
 
 class Patience(Strict):
-    """How long a drive may take, s, to do what it was told: real ones take milliseconds, or seconds."""
+    """How long a drive may take, s, to do what it was told.
+
+    Real ones take milliseconds, or seconds.
+    """
 
     boot: Annotated[float, Field(ge=0)] = (
         2.0  # until it answers at all, from when it is asked first

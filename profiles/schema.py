@@ -46,7 +46,8 @@ _GAIN_UNITS = {
 class Profile(Strict):
     """A drive family: identity, parameters, procedures, limits.
 
-    A drive whose [modes] has no torque is not moved: its friction is found in a recording, and written to it.
+    A drive whose [modes] has no torque is not moved: its friction is found in a recording, and
+    written to it.
     """
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")]
@@ -163,8 +164,8 @@ class Profile(Strict):
             index = getattr(parameter.address, "index", None)
             if index == _FACTORY_VALUES and parameter.protection is not Protection.READ:
                 raise ValueError(
-                    f"[parameters.{name}] is 1011h, which restores factory values and forgets the motor: it "
-                    "must have protection 'read'"
+                    f"[parameters.{name}] is 1011h, which restores factory values and forgets the "
+                    "motor: it must have protection 'read'"
                 )
         for name in self.compensation.terms.values():
             if self.parameters[name].protection is not Protection.COMPENSATION:

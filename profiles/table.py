@@ -1,9 +1,10 @@
 """Draft profiles from a register table: CSV, a row a parameter.
 
-Columns, in any order: `name`, `register` (as on the wire, 813, 0x32D or 32Dh) or `modicon` (40001 …), `type`;
-and, where they are needed, `title`, `unit`, `scale`, `minimum`, `maximum`, `access`, `word_order`, `function`
-(6 or 16), `trust`, `mask`, `on`, `off`. For a drive without CiA 402, the row `servo_on` says in `on` and
-`off` what is written, and the row `drive_status` in `mask` and `on` how the drive shows that it is enabled.
+Columns, in any order: `name`, `register` (as on the wire, 813, 0x32D or 32Dh) or `modicon` (40001
+…), `type`; and, where they are needed, `title`, `unit`, `scale`, `minimum`, `maximum`, `access`,
+`word_order`, `function` (6 or 16), `trust`, `mask`, `on`, `off`. For a drive without CiA 402, the
+row `servo_on` says in `on` and `off` what is written, and the row `drive_status` in `mask` and `on`
+how the drive shows that it is enabled.
 """
 
 from __future__ import annotations
@@ -122,8 +123,8 @@ def read_csv(data: bytes, origin: str) -> list[Row]:
             continue
         if "name" not in filled or not re.fullmatch(r"[a-z][a-z0-9_]*", filled["name"]):
             raise ProfileError(
-                f"{where}: name '{filled.get('name', '')[:40]}' must be of lower-case letters, digits and _; "
-                f"tworelay knows {', '.join(NAMES)}"
+                f"{where}: name '{filled.get('name', '')[:40]}' must be of lower-case letters, "
+                f"digits and _; tworelay knows {', '.join(NAMES)}"
             )
         rows.append(Row(where, filled))
     return rows
@@ -186,8 +187,8 @@ def _parameter(row: Row, notes: list[str]) -> dict[str, Any]:
         raise ProfileError(f"{row.where}: type '{kind[:40]}' is none of {', '.join(WIDTH_BITS)}")
     if (given := cells.get("unit")) is not None and given not in list(Unit):
         raise ProfileError(
-            f"{row.where}: unit '{given[:40]}' is none of {', '.join(Unit)}; what one raw step is of it "
-            "stands in scale (ms: unit s, scale 0.001; 0.1 %: unit rated, scale 0.001)"
+            f"{row.where}: unit '{given[:40]}' is none of {', '.join(Unit)}; what one raw step is "
+            "of it stands in scale (ms: unit s, scale 0.001; 0.1 %: unit rated, scale 0.001)"
         )
     address: dict[str, Any] = {"register": register, "type": kind}
     if "word_order" in cells:
@@ -243,8 +244,8 @@ def _power(found: dict[str, Row], *, is_cia402: bool) -> dict[str, Any]:
     enabled, mask, fault = (status.integer(column) for column in ("on", "mask", "fault"))
     if enabled is None:
         raise ProfileError(
-            f"{status.where}: drive_status needs 'on' (and 'mask'): what does it read when the drive is "
-            "enabled?"
+            f"{status.where}: drive_status needs 'on' (and 'mask'): what does it read when the "
+            "drive is enabled?"
         )
     power: dict[str, Any] = {
         "enable": [{"write": "servo_on", "raw": 1 if on is None else on}],
@@ -305,14 +306,15 @@ def _notes(found: dict[str, Row]) -> list[str]:
             notes.append("no alarm, and no 'fault' bits in drive_status: a fault is not recognised")
         if switch.integer("reset") is None:
             notes.append(
-                "servo_on has no 'reset': a fault is reset at the drive, also the one that the proof of its "
-                "watchdog makes (--without-watchdog leaves that proof out)"
+                "servo_on has no 'reset': a fault is reset at the drive, also the one that the "
+                "proof of its watchdog makes (--without-watchdog leaves that proof out)"
             )
     if not {"coulomb_positive", "friction"} & set(found):
         notes.append(
             "no coulomb_positive and coulomb_negative, and no friction: nothing can be compensated"
         )
     notes.append(
-        "what the torque mode needs (mode, source of the command) stands in 'before' of [[modes.torque]]"
+        "what the torque mode needs (mode, source of the command) stands in 'before' of "
+        "[[modes.torque]]"
     )
     return notes

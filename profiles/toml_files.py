@@ -22,7 +22,10 @@ M = TypeVar("M", bound=BaseModel)
 
 
 def load_model(path: Path, model: type[M]) -> M:
-    """Read `path` as TOML into `model`; raises ProfileError with one line that says what is wrong."""
+    """Read `path` as TOML into `model`.
+
+    Raises ProfileError with one line that says what is wrong.
+    """
     return parse_model(read_text(path), model, str(path))
 
 

@@ -1,7 +1,10 @@
-"""How the objects of a drive are reached: a transport carries addresses of some kinds, and has its cycles.
+"""How the objects of a drive are reached.
 
-What a drive has – CiA 402's dictionary, a vendor's registers – and how it is reached are two things: a
-profile that `extends` another may name another transport, and keeps the objects that it carries.
+A transport carries addresses of some kinds, and has its cycles.
+
+What a drive has – CiA 402's dictionary, a vendor's registers – and how it is reached are two
+things: a profile that `extends` another may name another transport, and keeps the objects that it
+carries.
 """
 
 from __future__ import annotations

@@ -110,7 +110,10 @@ def homes() -> dict[tuple[str, ...], Home]:
 def after(
     state_folder: Path, homes: dict[tuple[str, ...], Home], tmp_path_factory: pytest.TempPathFactory
 ) -> Tworelay:
-    """Begin after a command on a virtual:// axis, which is run once a session; returns what it said."""
+    """Begin after a command on a virtual:// axis, which is run once a session.
+
+    Returns what it said.
+    """
 
     def begin(*arguments: str) -> subprocess.CompletedProcess[str]:
         if arguments not in homes:

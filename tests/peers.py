@@ -13,7 +13,10 @@ import can
 
 @contextmanager
 def gateway(answers: dict[int, str], otherwise: str) -> Iterator[int]:
-    """A Modbus TCP gateway: units with 'data', 'exception', 'silence'; the others answer `otherwise`."""
+    """A Modbus TCP gateway: units with 'data', 'exception', 'silence'.
+
+    The others answer `otherwise`.
+    """
     listener = socket.create_server(("127.0.0.1", 0))
 
     def answer(unit: int, pdu: bytes) -> bytes:

@@ -1,7 +1,9 @@
-"""make platforms: the built wheel and sdist, installed on every Python that is found, do their jobs.
+"""make platforms.
 
-On the oldest Python also with the lowest versions of what tworelay depends on directly. The last line is
-`platforms: N rows, M held`.
+The built wheel and sdist, installed on every Python that is found, do their jobs.
+
+On the oldest Python also with the lowest versions of what tworelay depends on directly. The last
+line is `platforms: N rows, M held`.
 """
 
 from __future__ import annotations
@@ -68,7 +70,10 @@ def pythons() -> list[Path]:
 
 
 def archives(folder: Path) -> tuple[Path, Path]:
-    """Wheel and sdist of this tree; raises Broken where the sdist lacks what it is built and tested with."""
+    """Wheel and sdist of this tree.
+
+    Raises Broken where the sdist lacks what it is built and tested with.
+    """
     build = "import hatchling.build as b, sys; print(getattr(b, sys.argv[1])(sys.argv[2]))"
     wheel, sdist = (
         folder / run(sys.executable, "-c", build, what, folder, folder=ROOT).split()[-1]

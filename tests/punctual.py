@@ -1,4 +1,6 @@
-"""Tests in real time: a failure counts only where this computer kept its promise to wake them in time.
+"""Tests in real time.
+
+A failure counts only where this computer kept its promise to wake them in time.
 
 Where it did not, the test is repeated, at most three times in all, then skipped with the lateness.
 """

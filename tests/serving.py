@@ -1,4 +1,7 @@
-"""Virtual drives served to the tests: `virtual serve` itself, in a process forked from a warm one."""
+"""Virtual drives served to the tests.
+
+`virtual serve` itself, in a process forked from a warm one.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,8 @@ WIRES = {
 _PATIENCE = 10.0  # s to end in
 _WARM = [
     "commissioning.cli.virtual", "drivers.link", "drivers.virtual.serve", "drivers.virtual.twin",
-    "drivers.virtual.modbus_server", "drivers.virtual.habitual_slave", "drivers.virtual.canopen_node",
+    "drivers.virtual.modbus_server", "drivers.virtual.habitual_slave",
+    "drivers.virtual.canopen_node",
     "profiles.library",
 ]  # fmt: skip
 

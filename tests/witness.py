@@ -1,8 +1,10 @@
-"""Witnesses of the computer's own lateness: whether it kept its promise while a test ran in real time.
+"""Witnesses of the computer's own lateness.
 
-Each is a process that only sleeps, and notes how late it is woken: one at the loop's priority, one at an
-ordinary one. `python -m tests.witness urgent|ordinary` is one; a line on standard input asks for its worst
-lateness since the line before.
+Whether it kept its promise while a test ran in real time.
+
+Each is a process that only sleeps, and notes how late it is woken: one at the loop's priority, one
+at an ordinary one. `python -m tests.witness urgent|ordinary` is one; a line on standard input asks
+for its worst lateness since the line before.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ __all__ = ["command"]
 @click.option("--yes", is_flag=True, help="Confirm in advance.")
 @verbose
 def command(folder: Path, profile: str | None, yes: bool) -> None:
-    """Take in a run that was exported on another computer, so that it can be applied or restored here.
+    """Take in a run that was exported on another computer, to apply or restore it here.
 
     Shows link, axis, profile and what it wrote, and asks. Nothing is written to a drive.
     """

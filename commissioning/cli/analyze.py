@@ -25,7 +25,8 @@ __all__ = ["command"]
 @click.option(
     "--torque",
     metavar="COL[:SCALE UNIT]",
-    help="Nm, mNm, N, kN; a scale makes current or per cent a torque, and may be the name of a scalar of "
+    help="Nm, mNm, N, kN; a scale makes current or per cent a torque, and may be the name of a "
+    "scalar of "
     "a .mat file. Default: command_Nm, torque_Nm or force_N.",
 )
 @click.option("--steady", is_flag=True, help="Recordings at constant speeds, one or more a file.")

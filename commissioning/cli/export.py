@@ -21,7 +21,8 @@ def command(run: str, folder: Path) -> None:
 
     What was written to a CANopen drive is in changes.dcf, for the maker's own tool.
 
-    The folder can be read as a RUN anywhere; 'tworelay adopt' takes it in, to be applied or restored.
+    The folder can be read as a RUN anywhere; 'tworelay adopt' takes it in, to be applied or
+    restored.
     """
     from commissioning.journal import Journal
     from commissioning.runs import resolve

@@ -23,7 +23,10 @@ _DAY = 86400.0  # s
 
 
 class _RunsOf(click.Group):
-    """A group whose own act takes an AXIS: a word that is no command of it is the axis of a list."""
+    """A group whose own act takes an AXIS.
+
+    A word that is no command of it is the axis of a list.
+    """
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -53,7 +56,10 @@ def command() -> None:
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 @verbose
 def list_runs(axis: str | None, most: int, everything: bool, as_json: bool) -> None:
-    """The runs (of AXIS) in the order in which they came: verdict, friction, what is in the drive."""
+    """The runs (of AXIS) in the order in which they came.
+
+    Verdict, friction, what is in the drive.
+    """
     from commissioning.journal import Journal
     from commissioning.result.words import number
     from commissioning.session.listed import runs
@@ -103,7 +109,8 @@ def _tree(one: Listed) -> dict[str, object]:
 def prune(before: str, dry_run: bool, yes: bool) -> None:
     """Delete the files of old runs: samples, results, reports.
 
-    What was written to which drive stays in the journal; a run with anything to restore keeps its files.
+    What was written to which drive stays in the journal; a run with anything to restore keeps its
+    files.
     """
     from commissioning.session.prune import prune as delete
 

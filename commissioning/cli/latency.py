@@ -46,7 +46,8 @@ def command(
 ) -> None:
     """Round trip and cycle of a link, the fastest cycle that it holds, and what that means.
 
-    The drive stays de-energised and every output at zero, unless --move asks for the dead time, too.
+    The drive stays de-energised and every output at zero, unless --move asks for the dead time,
+    too.
     """
     import numpy as np
 
@@ -97,23 +98,25 @@ def command(
     if len(shown) < len(times):
         screen.say(f"   longer {len(times) - len(shown):6d}")
     screen.say(
-        f"fastest cycle that the link holds: {found.cycle * 1000:g} ms (--cycle {found.cycle:g}); of "
-        f"{len(found.lateness)} cycles {100 * found.late_share:.1f} % were late and {found.missed} without a "
-        "sample"
+        f"fastest cycle that the link holds: {found.cycle * 1000:g} ms (--cycle {found.cycle:g}); "
+        f"of {len(found.lateness)} cycles {100 * found.late_share:.1f} % were late and "
+        f"{found.missed} without a sample"
     )
     if found.watchdog > found.bears:
         screen.say(
-            f"the drive's watchdog bears {found.bears * 1000:g} ms of silence, and the slowest exchange took "
-            f"{found.exchange.max() * 1000:.3g} ms: give --watchdog {found.watchdog:g} with it"
+            f"the drive's watchdog bears {found.bears * 1000:g} ms of silence, and the slowest "
+            f"exchange took {found.exchange.max() * 1000:.3g} ms: give --watchdog "
+            f"{found.watchdog:g} with it"
         )
     screen.say(
-        f"at that cycle an oscillation lasts at least {found.shortest_period * 1000:.0f} ms: the shorter it "
-        "can be, the less travel an experiment takes"
+        f"at that cycle an oscillation lasts at least {found.shortest_period * 1000:.0f} ms: the "
+        "shorter it can be, the less travel an experiment takes"
     )
     if late is not None:
         low, high = 1000 * (late.low or 0.0), 1000 * (late.high or 0.0)
         screen.say(
-            f"dead time from command to motion: {1000 * late.value:.3g} ms ({low:.3g} … {high:.3g} ms)"
+            f"dead time from command to motion: {1000 * late.value:.3g} ms ({low:.3g} … {high:.3g} "
+            "ms)"
         )
 
 

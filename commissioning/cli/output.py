@@ -1,7 +1,8 @@
 """Where text leaves: the only place that writes to standard output and standard error.
 
-What it writes acts on no terminal. A stream that takes no more – a full disk, a reader that went away – ends
-no job: the rest of what it would have said is lost, which is told on the other stream once.
+What it writes acts on no terminal. A stream that takes no more – a full disk, a reader that went
+away – ends no job: the rest of what it would have said is lost, which is told on the other stream
+once.
 """
 
 from __future__ import annotations

@@ -39,8 +39,8 @@ def command() -> None:
 def loci(run: str, amplitude: float | None, hysteresis: float | None, output: str | None) -> None:
     """The loci -1/N of relay and friction beside the identified plant, and name the file.
 
-    Figures 4, 5 and 6 of Blaha's thesis: over the amplitude d without hysteresis, over d with one, and
-    over the hysteresis.
+    Figures 4, 5 and 6 of Blaha's thesis: over the amplitude d without hysteresis, over d with one,
+    and over the hysteresis.
     """
     import numpy as np
 

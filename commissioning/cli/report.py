@@ -24,7 +24,7 @@ def command(run: str, output: str | None) -> None:
 
 
 def say_report(run: str, screen: Screen) -> None:
-    """Write the report at the end of a job, whose outcome does not hang on there being room for it."""
+    """Write the report at the end of a job, which is no less done where there is no room."""
     try:
         screen.say(f"report {write_report(run, None)}")
     except UsageError as error:

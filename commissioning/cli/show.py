@@ -108,7 +108,10 @@ def points(result: RunResult, screen: Screen) -> None:
 
 
 def tuning(result: RunResult, screen: Screen) -> None:
-    """Every rule and what its gains are worth, naive beside corrected; the gains that are proposed."""
+    """Every rule and what its gains are worth, naive beside corrected.
+
+    The gains that are proposed.
+    """
     units = result.units
     for loop, title in LOOP_TITLES.items():
         sets = result.of_loop(loop)
@@ -224,7 +227,8 @@ def going_back(rows: list[Return], drive: Drive, screen: Screen) -> None:
     """What a restore would write, in SI and raw."""
     table = [
         [
-            row.parameter, _in_si(row.parameter, row.there, drive), _in_si(row.parameter, row.old, drive),
+            row.parameter, _in_si(row.parameter, row.there, drive), _in_si(row.parameter, row.old,
+            drive),
             f"{'?' if row.there is None else row.there} → {row.old}", row.why_not or _remark(row),
         ]
         for row in rows

@@ -42,6 +42,6 @@ def command(target: str, profile: str | None) -> None:
             if context.pid != os.getpid() and is_alive(context.pid, context.started):
                 continue  # it puts them back itself
             screen.say(
-                f"run {run} left settings changed in a drive on this link; 'tworelay restore {run}' puts "
-                "them back"
+                f"run {run} left settings changed in a drive on this link; 'tworelay restore "
+                f"{run}' puts them back"
             )

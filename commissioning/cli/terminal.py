@@ -110,7 +110,10 @@ class Screen:
 
     @contextlib.contextmanager
     def counting(self, text: str, total: int) -> Generator[Callable[[int], None]]:
-        """Show how far a row of steps is, where there is a terminal; the value is told each step."""
+        """Show how far a row of steps is, where there is a terminal.
+
+        The value is told each step.
+        """
         console = self.console()
         if not console.is_terminal:
             yield lambda step: None
@@ -206,12 +209,14 @@ _JOB_OPTIONS = [
         help="Share of the friction to compensate; the offset is compensated whole.",
     ),
     click.option(
-        "--method", type=click.Choice([name.value for name in MethodName]), default="auto", show_default=True,
+        "--method", type=click.Choice([name.value for name in MethodName]), default="auto",
+        show_default=True,
         help="; ".join(f"{name}: {name.about}" for name in MethodName) + ".",
     ),
     click.option(
         "--solver", type=click.Choice(["bracket", "thesis"]), default="bracket", show_default=True,
-        help="Search for equal periods: bracketing secant, or the rules (4.21), (4.25) of the thesis.",
+        help="Search for equal periods: bracketing secant, or the rules (4.21), (4.25) of the "
+        "thesis.",
     ),
     click.option(
         "--repeat", type=click.IntRange(1, 50), default=1, show_default=True, metavar="N",
@@ -219,7 +224,8 @@ _JOB_OPTIONS = [
     ),
     click.option(
         "--points", is_flag=True,
-        help="Measure also the plant at -180 and -135 degrees, where travel, speed and torque allow it.",
+        help="Measure also the plant at -180 and -135 degrees, where travel, speed and torque "
+        "allow it.",
     ),
     click.option(
         "--output-filter", type=Finite(0, min_open=True), metavar="W",
@@ -232,12 +238,14 @@ _JOB_OPTIONS = [
     ),
     click.option(
         "--without-watchdog", is_flag=True,
-        help="Move a drive that would not notice a dead link; its watchdog, if any, is not proved. Emergency "
+        help="Move a drive that would not notice a dead link; its watchdog, if any, is not "
+        "proved. Emergency "
         "stop in hand.",
     ),
     click.option("--dry-run", is_flag=True, help="Show every write; write and move nothing."),
     click.option("--yes", is_flag=True, help="Confirm in advance."),
-    click.option("--json", "json_target", metavar="F", help="Result as JSON to F, '-' for standard output."),
+    click.option("--json", "json_target", metavar="F",
+    help="Result as JSON to F, '-' for standard output."),
     click.option("--trace", metavar="F", help="Every frame to F: candump text, or pcap of Modbus."),
     verbose,
 ]  # fmt: skip
@@ -346,7 +354,10 @@ def check_json(target: str | None) -> None:
 
 
 def write_json(result: RunResult, target: str | None) -> None:
-    """Result as JSON to a file or standard output. Where it cannot be written, the job is no less done."""
+    """Result as JSON to a file or standard output.
+
+    Where it cannot be written, the job is no less done.
+    """
     if target is None:
         return
     from commissioning.result.codec import text_of

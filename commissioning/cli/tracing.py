@@ -61,7 +61,10 @@ def _harmless(write: Trace) -> Trace:
 
 def _candump(file: BinaryIO) -> Trace:
     def write(_sending: bool, cob_id: int, data: bytes | None) -> None:
-        """A line as `candump -L` writes it, which Wireshark reads; without data it is a remote frame."""
+        """A line as `candump -L` writes it, which Wireshark reads.
+
+        Without data it is a remote frame.
+        """
         said = "R" if data is None else data.hex().upper()
         file.write(f"({time.time():.6f}) can0 {cob_id:03X}#{said}\n".encode())
 

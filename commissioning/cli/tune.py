@@ -84,7 +84,7 @@ _OF_A_RUN = {"target", "drive_dead_time", "drive_period", "json_target", "yes", 
 
 
 def _only_for_targets(context: click.Context) -> None:
-    """Raise UsageError for options of a measurement where a run is tuned that was measured already."""
+    """Raise UsageError for options of a measurement where a measured run is tuned."""
     from profiles.errors import UsageError
 
     for parameter in context.command.params:
@@ -92,5 +92,6 @@ def _only_for_targets(context: click.Context) -> None:
         source = context.get_parameter_source(name)
         if name not in _OF_A_RUN and source is click.core.ParameterSource.COMMANDLINE:
             raise UsageError(
-                f"{parameter.opts[0]} is for a TARGET that is measured first; a RUN was measured already"
+                f"{parameter.opts[0]} is for a TARGET that is measured first; a RUN was measured "
+                "already"
             )

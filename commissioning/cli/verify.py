@@ -50,7 +50,8 @@ def command(
 ) -> None:
     """Prove that RUN's compensation helps: the axis follows a slow motion without and with it.
 
-    The compensation is raised in steps; the last one without harm stays in the drive and is stored, or none.
+    The compensation is raised in steps; the last one without harm stays in the drive and is stored,
+    or none.
     """
     from commissioning.cli import show
     from commissioning.session.verify import Wishes

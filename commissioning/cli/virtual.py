@@ -128,13 +128,13 @@ def serve_axis(
     endpoints.habits.for_bus("modbus" if modbus else "canopen")
     if endpoints.twin_of is not None and (modbus if endpoints.twin_of.bus == "canopen" else other):
         raise UsageError(
-            f"profile '{endpoints.twin_of.name}' is for {endpoints.twin_of.bus}: its twin is served "
-            "there only"
+            f"profile '{endpoints.twin_of.name}' is for {endpoints.twin_of.bus}: its twin is "
+            "served there only"
         )
     if endpoints == Endpoints(twin_of=endpoints.twin_of, habits=endpoints.habits):
         raise UsageError(
-            "serve where? Give --modbus-tcp HOST:PORT, --modbus-rtu pty, --modbus-rtu-tcp HOST:PORT, "
-            "--socketcand HOST:PORT or --slcan pty"
+            "serve where? Give --modbus-tcp HOST:PORT, --modbus-rtu pty, --modbus-rtu-tcp "
+            "HOST:PORT, --socketcand HOST:PORT or --slcan pty"
         )
     served = configured(link.place, options, state or link.options.get("state"))
     for key in ("jitter", "loss", "stamp"):

@@ -49,9 +49,9 @@ def approach(context: Context, goal: float, known: FirstLook) -> Plan[Sample]:
             moved = sample.time
         elif sample.time - moved > _STILL:
             raise MeasurementRejected(
-                f"the axis stands still, {error:.3g} {context.position_unit} from its start position, "
-                f"with a torque of {torque:.4g} {context.effort_unit} that moved it before: does "
-                "something block it?",
+                f"the axis stands still, {error:.3g} {context.position_unit} from its start "
+                f"position, with a torque of {torque:.4g} {context.effort_unit} that moved it "
+                "before: does something block it?",
                 code="measurement.approach",
             )
         friction = 1.1 * known.breakaway if at_rest else 0.9 * known.coulomb

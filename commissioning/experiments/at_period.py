@@ -37,10 +37,12 @@ class Wanted:
 
 
 def oscillate_at(context: Context, known: FirstLook, wanted: Wanted) -> Plan[tuple[Held, float]]:
-    """The oscillation until it repeats and some periods more; also the instant where its record ends, s.
+    """The oscillation until it repeats and some periods more.
 
-    It begins at rest where it will turn, with the torque at the phase that a turn has, so that hardly a
-    transient is to be waited for.
+    Also the instant where its record ends, s.
+
+    It begins at rest where it will turn, with the torque at the phase that a turn has, so that
+    hardly a transient is to be waited for.
     """
     yield from approach(context, context.start - wanted.half_swing, known)
     sample = yield wanted.bias

@@ -157,7 +157,10 @@ class _Pair:
 
 
 def _no_room(context: Context, stopping: Stopping, pair: _Pair) -> str:
-    """Why nothing fits the travel, and which of travel, watchdog and cycle would mend it, with numbers."""
+    """Why nothing fits the travel.
+
+    Also which of travel, watchdog and cycle would mend it, with numbers.
+    """
     p = context.position_unit
     goes = stopping.distance(0.0, pair.pace.overdrive * pair.d2)
     ways = []
@@ -193,8 +196,8 @@ def _no_room(context: Context, stopping: Stopping, pair: _Pair) -> str:
         )
         if speed is not None:
             return (
-                f"a speed of {context.speed:.4g} {p}/s is too small for an oscillation of both tests "
-                f"({pair.d1:.4g} and {pair.d2:.4g} {context.effort_unit}) at a cycle of "
+                f"a speed of {context.speed:.4g} {p}/s is too small for an oscillation of both "
+                f"tests ({pair.d1:.4g} and {pair.d2:.4g} {context.effort_unit}) at a cycle of "
                 f"{context.cycle * 1000:g} ms; --max-speed {_up(_SPARE * speed)} would do"
             )
     notices = (
@@ -203,8 +206,8 @@ def _no_room(context: Context, stopping: Stopping, pair: _Pair) -> str:
         else f"a dead link is noticed after {(stopping.reaction - stopping.delay) * 1000:.3g} ms"
     )
     return (
-        f"the travel of ±{context.travel:.4g} {p} is too small: {notices}, and by then the larger test's "
-        f"{pair.d2:.4g} {context.effort_unit} have moved an axis at rest by {goes:.3g} {p}; "
+        f"the travel of ±{context.travel:.4g} {p} is too small: {notices}, and by then the larger "
+        f"test's {pair.d2:.4g} {context.effort_unit} have moved an axis at rest by {goes:.3g} {p}; "
         + (
             f"{' or '.join(ways)} would do"
             if ways
@@ -257,7 +260,9 @@ def _room(
 def travel_needed(
     stopping: Stopping, half_swing: float, switching: float, peak_speed: float, torque: float
 ) -> float:
-    """Travel that an oscillation asks for, rad or m: its worst stop, at full speed past the switching.
+    """Travel that an oscillation asks for, rad or m.
+
+    Its worst stop, at full speed past the switching.
 
     Parameters
     ----------

@@ -129,9 +129,9 @@ def _evaluate(context: Context, breakaway: float, offset: float, pushes: list[Pu
     inertia = float(np.median([_inertia(p, coulomb, viscous) for p in pushes]))
     if not inertia > 0:
         raise MeasurementRejected(
-            f"the pushes contradict each other (inertia {inertia:.3g}): is there a torque that depends on "
-            f"the position (cogging), is the travel of ±{context.travel:.3g} {context.position_unit} too "
-            "small, or the position signal noisy?",
+            f"the pushes contradict each other (inertia {inertia:.3g}): is there a torque that "
+            f"depends on the position (cogging), is the travel of ±{context.travel:.3g} "
+            f"{context.position_unit} too small, or the position signal noisy?",
             code="measurement.contradiction",
         )
     dead_time = float(np.median([p.dead_time for p in pushes]))
@@ -208,9 +208,10 @@ def push(context: Context, offset: float, torque: float) -> Plan[Push]:
     if not acceleration > 0:
         raise MeasurementRejected(
             f"a push of {torque:.4g} {context.effort_unit} gave no acceleration along it "
-            f"({acceleration:.3g} {context.position_unit}/s2): does the axis rest in a detent (cogging, a "
-            "gear, elastic pre-sliding) that such a push does not leave? More --max-torque or --travel does; "
-            "else the cycle is too slow for this travel, or the position signal noisy",
+            f"({acceleration:.3g} {context.position_unit}/s2): does the axis rest in a detent "
+            "(cogging, a gear, elastic pre-sliding) that such a push does not leave? More "
+            "--max-torque or --travel does; else the cycle is too slow for this travel, or the "
+            "position signal noisy",
             code="measurement.no-acceleration",
         )
     still = next(

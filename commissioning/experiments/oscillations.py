@@ -1,7 +1,7 @@
 """A relay finds a period, an oscillator holds it: the record for modulating functions and lock-in.
 
-`auto` and `modulating`: some periods of a relay at d1, some of the oscillator at d2, nothing settled.
-`lock-in`: the oscillator at d1 and at d2, each until its fundamental repeats.
+`auto` and `modulating`: some periods of a relay at d1, some of the oscillator at d2, nothing
+settled. `lock-in`: the oscillator at d1 and at d2, each until its fundamental repeats.
 """
 
 from __future__ import annotations
@@ -30,7 +30,10 @@ _TRUST = 0.7  # share of a seen change of the offset that the bias follows
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """What the oscillator is to do: `amplitude` 1 or 2 of the design, periods to measure, at most."""
+    """What the oscillator is to do.
+
+    `amplitude` 1 or 2 of the design, periods to measure, at most.
+    """
 
     amplitude: int
     measure: int
@@ -116,8 +119,8 @@ def oscillations(
 def _lead(before: float, after: float, coulomb: float) -> float:
     """Phase at which a larger square wave goes on without a drift, periods.
 
-    At one period the peak speed goes with (d² − f²)/d. The axis comes with that of the smaller wave and
-    is to leave the half wave with that of the larger one.
+    At one period the peak speed goes with (d² − f²)/d. The axis comes with that of the smaller wave
+    and is to leave the half wave with that of the larger one.
     """
     f = min(coulomb, 0.9 * before)
     slow, fast = ((d * d - f * f) / d for d in (before, after))
@@ -134,7 +137,9 @@ def _find_period(
     *,
     staged: bool,
 ) -> Plan[tuple[Sample, LimitCycle, Span]]:
-    """`count` periods of the relay; the hysteresis grows, with the limits checked, from each to the next.
+    """`count` periods of the relay.
+
+    The hysteresis grows, with the limits checked, from each to the next.
 
     A period is from one switching to + to the next. Ends at one.
     """
@@ -165,8 +170,8 @@ def _find_period(
         elif sample.time - since > longest:
             raise MeasurementRejected(
                 f"the relay of ±{relay.amplitude:.4g} {context.effort_unit} does not oscillate: no "
-                f"reversal within {longest:.3g} s. Breakaway and offset are too large for it, or the "
-                "axis is blocked; raise --max-torque",
+                f"reversal within {longest:.3g} s. Breakaway and offset are too large for it, or "
+                "the axis is blocked; raise --max-torque",
                 code="measurement.no-oscillation",
             )
         sample = yield torque

@@ -1,7 +1,7 @@
 """A torque that oscillates at a given period about a centre (method.md 3).
 
-A relay is good at finding a period, an oscillator at holding it. The axis has no centre of its own, so a
-weak PD loop on position holds it where it is; what it adds is part of the measured torque.
+A relay is good at finding a period, an oscillator at holding it. The axis has no centre of its own,
+so a weak PD loop on position holds it where it is; what it adds is part of the measured torque.
 """
 
 from __future__ import annotations
@@ -167,7 +167,10 @@ def hold(
 
 
 def _repeats(fundamentals: list[complex], resolution: float) -> bool:
-    """Whether the last periods have one fundamental, by their changes or, on a bad link, their means."""
+    """Whether the last periods have one fundamental.
+
+    By their changes or, on a bad link, their means.
+    """
     last = np.array(fundamentals[-_REPEATS - 1 :])
     if len(last) > _REPEATS:
         size = abs(last[-1])

@@ -60,7 +60,10 @@ class Context:
 
     @property
     def motion(self) -> float:
-        """Displacement that counts as motion: some counts, and never below a share of the travel."""
+        """Displacement that counts as motion.
+
+        Some counts, and never below a share of the travel.
+        """
         return max(5 * self.resolution, self.travel / 5000)
 
 

@@ -23,8 +23,8 @@ class Relay:
     Parameters
     ----------
     amplitude : d, half of the relay's swing, N.m or N
-    knob : what sets the period: ε, half-width of the hysteresis about `reference`, rad or m; or τ, the
-        delay from the crossing of `reference` to the switching, s
+    knob : what sets the period: ε, half-width of the hysteresis about `reference`, rad or m; or τ,
+        the delay from the crossing of `reference` to the switching, s
     reference : rad or m
     bias : N.m or N, centre of the output
     cycle : s

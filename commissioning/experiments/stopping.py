@@ -90,9 +90,9 @@ def run_up(context: Context, known: FirstLook) -> Plan[tuple[float, float]]:
             return sample.position, max(speed, 0.0)
         if sample.time > begun + _RUN_UP_TIME:
             raise MeasurementRejected(
-                f"the axis does not come up to speed with {torque:.4g} {context.effort_unit} within "
-                f"{_RUN_UP_TIME:g} s ({speed:.3g} of {goal:.3g} {context.position_unit}/s); does "
-                "something block it?",
+                f"the axis does not come up to speed with {torque:.4g} {context.effort_unit} "
+                f"within {_RUN_UP_TIME:g} s ({speed:.3g} of {goal:.3g} {context.position_unit}/s); "
+                "does something block it?",
                 code="measurement.no-speed",
             )
         before = sample

@@ -90,8 +90,8 @@ def _follow(context: Context, positions: list[float], most: float) -> Plan[list[
         samples.append(sample)
         if abs(sample.position - position) > most:
             raise MeasurementRejected(
-                f"the axis does not follow: it is {sample.position - position:+.3g} {context.position_unit} "
-                "from where it should be; is it blocked, or its encoder?",
+                f"the axis does not follow: it is {sample.position - position:+.3g} "
+                f"{context.position_unit} from where it should be; is it blocked, or its encoder?",
                 code="measurement.not-following",
             )
     return samples

@@ -1,7 +1,8 @@
 """Two relay tests at one frequency: the experiment of the thesis (Blaha 2001, 4.3 to 4.6).
 
 Test 1 runs with (d1, ε1) until it settles. Test 2 runs with d2 and moves its hysteresis until its
-period is that of test 1. The alternative has ideal relays with a delay τ in place of the hysteresis.
+period is that of test 1. The alternative has ideal relays with a delay τ in place of the
+hysteresis.
 """
 
 from __future__ import annotations
@@ -62,8 +63,8 @@ def two_relay(
 ) -> Plan[TwoRelay]:
     """Both tests; returns the two limit cycles. Raises MeasurementRejected.
 
-    `solver`: how the second test finds the period of the first, by a bracketing secant or by the rules
-    of the thesis, (4.21) and (4.25).
+    `solver`: how the second test finds the period of the first, by a bracketing secant or by the
+    rules of the thesis, (4.21) and (4.25).
     """
     friction = min(known.coulomb, 0.9 * design.d1)
     knob = design.hysteresis
@@ -166,9 +167,9 @@ def _check_feasible(context: Context, relay: Relay, first: LimitCycle, first_kno
         least = max(least, 0.5 * context.resolution)
     if relay.knob < least:
         raise MeasurementRejected(
-            f"the {relay.switching} of the second relay test runs into zero before its period reaches "
-            f"{first.period * 1000:.4g} ms: with dead time this large the tests cannot be matched; "
-            "give more --travel, so that the period is long against the dead time",
+            f"the {relay.switching} of the second relay test runs into zero before its period "
+            f"reaches {first.period * 1000:.4g} ms: with dead time this large the tests cannot be "
+            "matched; give more --travel, so that the period is long against the dead time",
             code="measurement.period",
         )
 

@@ -95,7 +95,10 @@ def from_model(
 
 
 def _rigid(axis: Sequence[float], w: float) -> tuple[float, float]:
-    """Gain, rad/(N.m) or m/N, and phase, degrees, of inertia, viscous friction, dead time at `w` rad/s."""
+    """Gain, rad/(N.m) or m/N, and phase, degrees, of a rigid axis at `w` rad/s.
+
+    `axis` : inertia, viscous friction, dead time.
+    """
     inertia, viscous, dead_time = axis
     stiffness = complex(-inertia * w * w, max(viscous, 0.0) * w)
     return 1 / abs(stiffness), -degrees(phase(stiffness)) - degrees(w * dead_time)
@@ -135,8 +138,8 @@ def autotuned(
     """What a relay autotuner concludes on a rigid axis with friction.
 
     By describing functions: the limit cycle lies where arg G = arg(−1/N), N = d·e^(−jα) + j·f; the
-    autotuner takes N = d·e^(−jα) alone and so |G| for |G|·|N|/d at −180° + α. None where the axis has no
-    such limit cycle.
+    autotuner takes N = d·e^(−jα) alone and so |G| for |G|·|N|/d at −180° + α. None where the axis
+    has no such limit cycle.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""One friction law fitted to one record by modulating functions, and the next rung of the ladder."""
+"""One friction law fitted to one record by modulating functions, and the next law."""
 
 from __future__ import annotations
 
@@ -51,15 +51,16 @@ class Fit:
     law : friction law
     model : inertia, viscous friction, offset, dead time
     coefficients : (k,) of the law's terms, the Coulomb one first, N.m or N
-    covariance : (k+4, k+4) of inertia, viscous, offset, coefficients, dead time; jackknife over periods
+    covariance : (k+4, k+4) of inertia, viscous, offset, coefficients, dead time; jackknife over
+        periods
     residual : rms of the fit as a share of the rms of its right-hand side
     held_out : the same on periods that were left out of the fit
     condition : of the scaled least-squares matrix
     halves : Coulomb friction of the odd and of the even periods, N.m or N
     widths : Coulomb friction from the wide windows alone and from the narrow ones alone, N.m or N
     instants : of the reversals, s
-    lateness : median distance of the reversals from where the velocity is zero, as a share of a sample;
-        where it is not small they make up for something that the law lacks
+    lateness : median distance of the reversals from where the velocity is zero, as a share of a
+        sample; where it is not small they make up for something that the law lacks
     """
 
     law: Law
@@ -78,8 +79,8 @@ class Fit:
 class Fitter:
     """Windows over one record, and the fits that were tried.
 
-    `shares`: widths of the windows as shares of the period; `at_rest`: (m, 2) begin and end of stretches
-    at rest, s, which no window may touch.
+    `shares`: widths of the windows as shares of the period; `at_rest`: (m, 2) begin and end of
+    stretches at rest, s, which no window may touch.
     """
 
     def __init__(

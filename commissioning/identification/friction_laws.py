@@ -4,8 +4,9 @@ Each law is a sum of terms, linear in its coefficients, with at most one shape p
 
     Coulomb        f·s                          s = sign(v)
     Stribeck       + b·s·e^(−(v/vs)²)           vs: Stribeck speed
-    soft           f·tanh(v/w) + g/cosh²(v/w)   w: width; instead of the Coulomb term. g: a sigmoid whose
-                                                middle is not at rest, f·tanh((v + v₃)/w) with g = f·v₃/w
+    soft           f·tanh(v/w) + g/cosh²(v/w)   w: width; instead of the Coulomb term. g: a sigmoid
+                                                whose middle is not at rest, f·tanh((v + v₃)/w) with
+                                                g = f·v₃/w
     load           + c·s·|u − offset|           friction that grows with the transmitted torque
     position       + p·cos(2πy/λ) + q·sin(2πy/λ)  λ: pitch; cogging, a screw's wobble
 """
@@ -63,7 +64,10 @@ class Law:
         return 1 + (self.stribeck is not None) + (self.soft is not None)
 
     def terms(self, cells: Cells) -> Array:
-        """Terms in the cells, (n, k), the Coulomb one first; each times its coefficient is a torque."""
+        """Terms in the cells, (n, k), the Coulomb one first.
+
+        Each times its coefficient is a torque.
+        """
         speed = np.abs(cells.velocity)
         columns = [cells.sign]
         if self.soft is not None:

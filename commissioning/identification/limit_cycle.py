@@ -63,7 +63,9 @@ class Periods:
         return self._part(slice(max(len(self) - count, 0), None))
 
     def settling(self, transient: int, cycle: float, recovery: int) -> Periods:
-        """Without the first `transient`, those with a late sample, and the `recovery` after each of these.
+        """Without the first `transient`, and those with a late sample.
+
+        Nor the `recovery` after each of these.
 
         A relay that is asked too late switches too late: the axis swings further, and again back.
         """

@@ -4,8 +4,9 @@ In a periodic steady state the linear part obeys, at every harmonic and without 
 
     Y = G(jω)·(U − f̄·S)          f̄ = f/G_in(jω)
 
-with U, Y, S the Fourier coefficients of the torque command as it was sent, of the position, and of the
-sign of the velocity. Two oscillations of different size share G, so both G and f̄ follow: no model.
+with U, Y, S the Fourier coefficients of the torque command as it was sent, of the position, and of
+the sign of the velocity. Two oscillations of different size share G, so both G and f̄ follow: no
+model.
 """
 
 from __future__ import annotations
@@ -127,7 +128,8 @@ def phasors(
     harmonics = np.array(HARMONICS)
     turn = np.exp(-2j * pi * np.outer(fine, harmonics))
     position = 2 / len(fine) * ((y - middle[:, None]) @ turn)
-    # a period that does not close moves the inertia, too: Y is −1/ω² of the acceleration's coefficient
+    # a period that does not close moves the inertia, too: Y is −1/ω² of the acceleration's
+    # coefficient
     ends = np.stack((starts, starts + period))
     drift = np.diff(spline(ends), axis=0).T
     faster = np.diff(kinematics.speed(ends), axis=0).T
@@ -170,8 +172,8 @@ def lock_in(first: Phasors, second: Phasors, resolution: float, cycle: float) ->
         periods = len(phasor.mean_sign)
         if periods < _FEWEST or lost > _MOST_REJECTED * (periods + lost):
             raise ValueError(
-                f"oscillation {number} has {periods} sound periods of {periods + lost}; the axis does "
-                "not settle, or the link is too irregular"
+                f"oscillation {number} has {periods} sound periods of {periods + lost}; the axis "
+                "does not settle, or the link is too irregular"
             )
     names, values = _numbers(*pair)
     blocks = [

@@ -1,15 +1,16 @@
 """Friction, inertia and dead time by modulating functions: no settling, no period, no derivative.
 
 For a rigid axis  J·ÿ + B·ẏ = u(t−τ) − F − offset  is multiplied by a φ that vanishes with its first
-derivatives at both ends of a window, and integrated by parts (Shinbrot 1957; Preisig and Rippin 1993;
-method.md 3a):
+derivatives at both ends of a window, and integrated by parts (Shinbrot 1957; Preisig and Rippin
+1993; method.md 3a):
 
     J·∫φ''·y − B·∫φ'·y + f·∫φ·sign(ẏ) + offset·∫φ = ∫φ·u(t−τ)
 
-φ is sin⁴ at the samples and straight between them. For such a φ the integrals are sums of hat moments
-(`signals`), exact at any sampling: late cycles and lost samples are nothing special. Many windows of two
-widths make a linear least-squares problem; τ joins it by its derivative. Velocity, reversals and ∫y
-between the samples come from the model itself (`motion`) and are improved from pass to pass.
+φ is sin⁴ at the samples and straight between them. For such a φ the integrals are sums of hat
+moments (`signals`), exact at any sampling: late cycles and lost samples are nothing special. Many
+windows of two widths make a linear least-squares problem; τ joins it by its derivative. Velocity,
+reversals and ∫y between the samples come from the model itself (`motion`) and are improved from
+pass to pass.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ _NARROWER, _FEW_SAMPLES = 0.4, 60  # any motion: each width of the last, down to
 # the ladder: a richer law must explain held-out periods better by this factor
 _BETTER, _BETTER_THAN_SUSPICIOUS = 0.6, 0.9
 SUSPICIOUS = 0.08  # of a sample: reversals so far from zero velocity make up for an incomplete law
-# share of the torque below which nothing is left that one more term could explain, a second one more
+# share of the torque below which nothing is left that one more term could explain, a second one
+# more
 _EXPLAINED = 1e-3, 3e-3
 EXPLAINS = 0.03  # of the torque: a model that leaves more says nothing about reversals
 _REACHED = 1.5  # of the slope that a sigmoid still has at the peak speed
@@ -50,10 +52,11 @@ class ModulatingEstimate:
     inertia : kg.m2 or kg
     dead_time : s
     fit : friction law that the record asks for, its coefficients, and the model of the axis
-    low_speed : friction at the lowest speed that the law resolves, where compensation acts, N.m or N
+    low_speed : friction at the lowest speed that the law resolves, where compensation acts, N.m or
+        N
     peak_speed : largest speed of the record, rad/s or m/s
-    residual, held_out, rigid_residual : what is left as a share of the torque: of the law, on periods
-        that were left out, and of Coulomb friction alone
+    residual, held_out, rigid_residual : what is left as a share of the torque: of the law, on
+        periods that were left out, and of Coulomb friction alone
     condition : of the scaled least-squares matrix; large means that the record cannot tell apart
     halves, widths : relative difference of f between odd and even periods, wide and narrow windows
     lateness : median distance of the reversals from zero velocity, as a share of a sample
@@ -101,9 +104,9 @@ class ModulatingEstimate:
 def estimate(record: Record, *, any_motion: bool = False) -> ModulatingEstimate:
     """Fit the record; raises ValueError when it is too short.
 
-    Two amplitudes are needed in the record to tell Coulomb from viscous friction. A richer friction law
-    is looked for where Coulomb friction leaves something unexplained. `any_motion`: the record is no
-    oscillation; windows of many widths are used, none in which the axis rests.
+    Two amplitudes are needed in the record to tell Coulomb from viscous friction. A richer friction
+    law is looked for where Coulomb friction leaves something unexplained. `any_motion`: the record
+    is no oscillation; windows of many widths are used, none in which the axis rests.
     """
     fitter = Fitter(record)
     if any_motion:

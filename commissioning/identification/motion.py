@@ -2,9 +2,10 @@
 
     J·ÿ = u(t − τ) − B·ẏ − F(t) − offset
 
-Torque u and friction F are held in small cells, so the response of the axis to them is exact (`response`).
-What that leaves of the position has no kinks, however hard the torque switches: it is smoothed, and
-position, velocity and the instants of its sign changes follow between the samples, too.
+Torque u and friction F are held in small cells, so the response of the axis to them is exact
+(`response`). What that leaves of the position has no kinks, however hard the torque switches: it is
+smoothed, and position, velocity and the instants of its sign changes follow between the samples,
+too.
 """
 
 from __future__ import annotations
@@ -101,7 +102,8 @@ class Motion:
     ----------
     instants, begins : (m,) s, of the reversals, and the sign of the velocity before the first
     speed : velocity at instants, rad/s or m/s
-    lateness : s, median distance of the reversals from where the velocity is zero, of the last update
+    lateness : s, median distance of the reversals from where the velocity is zero, of the last
+        update
     integral : (n,) ∫y from the first sample, rad.s or m.s
     cells : velocity and position there are of the last update
     """
@@ -145,9 +147,10 @@ class Motion:
     ) -> float:
         """Take `model` and the friction torque that a law gives in the cells, (n,), for true.
 
-        `by` : reversals go where the velocity is zero, or where they fit the position best – which needs
-        no velocity, but lets them make up for a wrong law – or stay. Returns how far they have moved, the
-        mean in s.
+        `by` : reversals go where the velocity is zero, or where they fit the position best – which
+            needs
+        no velocity, but lets them make up for a wrong law – or stay. Returns how far they have
+        moved, the mean in s.
         """
         t, y, h = self._time, self._y, self._h
         cells = self._cells(model)
@@ -196,9 +199,9 @@ class Motion:
     def _by_position(self, model: Model, resist: Steps, rest: Array) -> Array | None:
         """How late each reversal is, (m,) s, by what it does to the position.
 
-        Friction that turns too early is an impulse, and its response a bend – on a damped axis a step –
-        that no smooth curve follows: all are found together with that curve. None where many samples
-        show the velocity well enough, or where the friction does not jump.
+        Friction that turns too early is an impulse, and its response a bend – on a damped axis a
+        step – that no smooth curve follows: all are found together with that curve. None where many
+        samples show the velocity well enough, or where the friction does not jump.
         """
         from scipy.interpolate import BSpline
 

@@ -69,7 +69,10 @@ def steady_oscillations(record: Record, kinematics: Kinematics) -> list[Steady]:
 
 
 def pair(found: list[Steady]) -> tuple[Steady, Steady] | None:
-    """Two oscillations of one period and different swing, those with most periods; None: there are none."""
+    """Two oscillations of one period and different swing, those with most periods.
+
+    None: there are none.
+    """
     best = None
     for a in found:
         for b in found:

@@ -1,13 +1,13 @@
 """Friction from two sine excitations of one frequency: the variant of the thesis' conclusion.
 
-With a sine in place of the relay the first harmonic of the torque is the torque, so (4.14) holds with
-d → π/4 times the sine's amplitude and the measured phase in place of the hysteresis:
+With a sine in place of the relay the first harmonic of the torque is the torque, so (4.14) holds
+with d → π/4 times the sine's amplitude and the measured phase in place of the hysteresis:
 
     −U1/Y1 + 4j·f̄/(π·A1) = −U2/Y2 + 4j·f̄/(π·A2)
 
-Friction is still described by its first harmonic alone, 4f/(πA). On a rigid axis without dead time the
-phase of U/Y does not depend on the frequency, so it is the frequency that is locked, to the one that a
-relay has found, and the phase that is measured.
+Friction is still described by its first harmonic alone, 4f/(πA). On a rigid axis without dead time
+the phase of U/Y does not depend on the frequency, so it is the frequency that is locked, to the one
+that a relay has found, and the phase that is measured.
 """
 
 from __future__ import annotations

@@ -2,14 +2,15 @@
 
     P(jω) = Y/(U − F)                                                               (method.md 6)
 
-U, Y, F are the Fourier coefficients of torque, position and friction over whole periods. F is that of the
-friction law which the record asks for, on the motion as the model has it between samples; or f̄·S where no
-law explains the record and the exact balance gives f̄. U is taken a dead time earlier and the point turned
-by it, so that what happens at the edges of a period is right, too:
+U, Y, F are the Fourier coefficients of torque, position and friction over whole periods. F is that
+of the friction law which the record asks for, on the motion as the model has it between samples; or
+f̄·S where no law explains the record and the exact balance gives f̄. U is taken a dead time earlier
+and the point turned by it, so that what happens at the edges of a period is right, too:
 
     (2/T)·∫ÿ·e^(−jωt) = −ω²·Y + (2/T)·(Δẏ + jω·Δy),     (2/T)·∫ẏ·e^(−jωt) = jω·Y + (2/T)·Δy
 
-A period that does not close, Δy, Δẏ ≠ 0, is thus corrected by the model's inertia and viscous friction.
+A period that does not close, Δy, Δẏ ≠ 0, is thus corrected by the model's inertia and viscous
+friction.
 """
 
 from __future__ import annotations
@@ -86,8 +87,8 @@ class Reader:
 def by_balance(phasors: Phasors, found: LockIn) -> CriticalPoint:
     """The point by the exact balance's own friction, where no law explains the record.
 
-    Nothing is assumed of the plant; friction is taken for Coulomb's, on the motor. f̄ is turned from the
-    balance's frequency to that of the oscillation by the dead time.
+    Nothing is assumed of the plant; friction is taken for Coulomb's, on the motor. f̄ is turned
+    from the balance's frequency to that of the oscillation by the dead time.
     """
     w, before = 2 * pi / phasors.period, 2 * pi / found.period
     friction = found.complex_coulomb * np.exp(1j * (w - before) * found.dead_time.value)

@@ -64,7 +64,7 @@ class Record:
 
 
 def unfiltered(record: Record, corner: float) -> Record:
-    """The record with a first-order filter in the position signal undone, y + ẏ/corner (G_out, 4.4).
+    """The record with a first-order filter in its position undone, y + ẏ/corner (G_out, 4.4).
 
     Parameters
     ----------
@@ -175,7 +175,10 @@ def _by_parabolas(record: Record, turning: list[int]) -> Array:
 
 
 def _by_spline(record: Record, turning: list[int]) -> Array:
-    """Zero of the derivative of a cubic spline next to each turning sample: few samples are enough."""
+    """Zero of the derivative of a cubic spline next to each turning sample.
+
+    Few samples are enough.
+    """
     from scipy.interpolate import CubicSpline
 
     time, y = record.time, record.position

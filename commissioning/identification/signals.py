@@ -4,9 +4,9 @@ A position sampled at t₀ < t₁ < … is tied to the acceleration without any 
 
     (y_{k+1} − y_k)/h_k − (y_k − y_{k−1})/h_{k−1} = ∫ Λ_k(t)·ÿ(t) dt
 
-with Λ_k the hat function of node k. The same divided second difference of the double integral of any
-other signal gives its hat moment ∫ Λ_k·s dt. So an equation of motion holds between hat moments exactly,
-however irregular the samples are.
+with Λ_k the hat function of node k. The same divided second difference of the double integral of
+any other signal gives its hat moment ∫ Λ_k·s dt. So an equation of motion holds between hat moments
+exactly, however irregular the samples are.
 """
 
 from __future__ import annotations

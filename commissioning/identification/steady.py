@@ -2,8 +2,8 @@
 
     τ = s·(f + b·e^(−(v/vs)²)) + B·v + offset          s = sign(v)
 
-No inertia acts, so each constant speed is one point of the curve. The Stribeck term stays where every
-other speed, left out of the fit, is clearly better met with it.
+No inertia acts, so each constant speed is one point of the curve. The Stribeck term stays where
+every other speed, left out of the fit, is clearly better met with it.
 """
 
 from __future__ import annotations
@@ -129,7 +129,8 @@ def fit(points: list[SteadyPoint]) -> SteadyFit:
     torque = np.array([p.torque for p in ordered])
     if not (np.any(speed > 0) and np.any(speed < 0)):
         raise ValueError(
-            "all speeds have one direction: friction cannot be told from the offset; record the other, too"
+            "all speeds have one direction: friction cannot be told from the offset; record the "
+            "other, too"
         )
     if np.corrcoef(np.sign(speed), torque)[0, 1] < 0:
         raise ValueError(
@@ -150,7 +151,8 @@ def fit(points: list[SteadyPoint]) -> SteadyFit:
     solution, errors, rms = _solve(speed, torque, shape)
     if not solution[0] > 0:
         raise ValueError(
-            f"the fit gives a Coulomb friction of {solution[0]:.3g}: these points are no friction curve"
+            f"the fit gives a Coulomb friction of {solution[0]:.3g}: these points are no friction "
+            "curve"
         )
     names = {}
     for n, name in enumerate(("coulomb", "viscous", "offset")):

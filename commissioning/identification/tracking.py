@@ -1,4 +1,7 @@
-"""How well an axis follows its position command: friction at reversals, at low speed and at rest."""
+"""How well an axis follows its position command.
+
+Friction at reversals, at low speed and at rest.
+"""
 
 from __future__ import annotations
 
@@ -36,11 +39,13 @@ class TrackingError:
 
 
 def reversal_error(command: Array, position: Array, turns: int) -> tuple[float, Array]:
-    """Peak error after the reversals of a sinusoidal command (mean of all), and the whole error, without lag.
+    """Peak error after the reversals of a sinusoidal command, and the whole error, without lag.
 
-    Where the speed is greatest the loop has settled, and what error is left is its lag; that is taken
-    away in proportion to speed. Arrays (n,) of equally spaced samples over whole `turns`, the first of
-    which begins at a reversal; rad or m.
+    The peak is the mean of all.
+
+    Where the speed is greatest the loop has settled, and what error is left is its lag; that is
+    taken away in proportion to speed. Arrays (n,) of equally spaced samples over whole `turns`, the
+    first of which begins at a reversal; rad or m.
     """
     error = command - position
     speed = np.sin(2 * np.pi * turns * np.arange(1, len(error) + 1) / len(error))

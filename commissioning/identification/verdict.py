@@ -54,7 +54,10 @@ class UnitNames:
 
 
 def within_short(found: ModulatingEstimate) -> bool:
-    """Whether a dozen periods are enough: one number, whichever part and frequency it is taken from."""
+    """Whether a dozen periods are enough.
+
+    One number, whichever part and frequency it is taken from.
+    """
     return (
         not found.law.rungs
         and found.rigid_residual <= max(_LEFT, _BEYOND_NOISE * found.noise)
@@ -80,16 +83,17 @@ def of_modulating(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
             "fit.impossible",
             Weight.CONTRADICTION,
             f"the fit gives a friction of {f.value:.3g} {e} and an inertia of "
-            f"{found.inertia.value:.3g}: no axis moves like this; is the torque's sign or unit wrong?",
+            f"{found.inertia.value:.3g}: no axis moves like this; is the torque's sign or unit "
+            "wrong?",
         )
         return reasons
     if left > max(_REJECTED_LEFT, 3 * found.noise):
         add(
             "fit.unexplained",
             Weight.CONTRADICTION,
-            f"the equation of motion leaves {100 * left:.0f} % of the torque unexplained: the axis is "
-            "elastic or has play, is moved by something else, or torque and position do not belong "
-            "together",
+            f"the equation of motion leaves {100 * left:.0f} % of the torque unexplained: the axis "
+            "is elastic or has play, is moved by something else, or torque and position do not "
+            "belong together",
         )
     elif left > max(_LEFT, _BEYOND_NOISE * found.noise):
         add(
@@ -106,16 +110,16 @@ def of_modulating(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
         add(
             "fit.reversals",
             Weight.DOUBT,
-            f"the reversals that fit best lie {100 * found.lateness:.0f} % of a sample from zero velocity: "
-            "the friction law is incomplete, or the link too irregular for the period; a shorter --cycle "
-            "or a longer period helps",
+            f"the reversals that fit best lie {100 * found.lateness:.0f} % of a sample from zero "
+            "velocity: the friction law is incomplete, or the link too irregular for the period; a "
+            "shorter --cycle or a longer period helps",
         )
     if f.half_width > _REJECTED_WIDTH:
         add(
             "interval.wide",
             Weight.CONTRADICTION,
-            f"the interval of the friction, {f.low:.3g} … {f.high:.3g} {e}, is too wide to be of use: "
-            "give the axis more torque, travel or periods",
+            f"the interval of the friction, {f.low:.3g} … {f.high:.3g} {e}, is too wide to be of "
+            "use: give the axis more torque, travel or periods",
         )
     elif f.half_width > _WIDE:
         add(
@@ -127,15 +131,15 @@ def of_modulating(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
         add(
             "periods.differ",
             Weight.DOUBT,
-            f"odd and even periods differ by {100 * found.halves:.1f} % in friction: the axis changes "
-            "while it is measured",
+            f"odd and even periods differ by {100 * found.halves:.1f} % in friction: the axis "
+            "changes while it is measured",
         )
     if found.condition > _CONDITION:
         add(
             "coulomb-viscous",
             Weight.DOUBT,
-            f"the record hardly tells Coulomb from viscous friction (condition {found.condition:.0f}): "
-            "two oscillations of clearly different torque are needed",
+            "the record hardly tells Coulomb from viscous friction (condition "
+            f"{found.condition:.0f}): two oscillations of clearly different torque are needed",
         )
     if found.periods < _FEW_PERIODS:
         add(
@@ -177,23 +181,24 @@ def _of_law(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
         add(
             "law.soft",
             Weight.DOUBT,
-            f"soft friction: it rises over {law.soft:.3g} {p}/s to its level instead of switching with "
-            "the sign; compensation by the sign alone does too much at low speed",
+            f"soft friction: it rises over {law.soft:.3g} {p}/s to its level instead of switching "
+            "with the sign; compensation by the sign alone does too much at low speed",
         )
     if law.load:
         c = float(found.coefficients[law.load_term])
         add(
             "law.load",
             Weight.NOTE,
-            f"friction grows with the torque, by {100 * c:.1f} % of it: the level is that without load",
+            f"friction grows with the torque, by {100 * c:.1f} % of it: the level is that without "
+            "load",
         )
     if law.position is not None:
         size = float(np.hypot(*found.coefficients[-2:]))
         add(
             "law.position",
             Weight.DOUBT,
-            f"position-dependent torque of ±{size:.3g} {e} with a pitch of {law.position:.4g} {p}: cogging "
-            "or the wobble of a screw or gear",
+            f"position-dependent torque of ±{size:.3g} {e} with a pitch of {law.position:.4g} {p}: "
+            "cogging or the wobble of a screw or gear",
         )
     return reasons
 
@@ -218,8 +223,8 @@ def of_lock_in(found: LockIn, resolution: float, units: UnitNames) -> list[Reaso
             Reason(
                 "interval.wide",
                 Weight.CONTRADICTION,
-                f"the balance gives {found.coulomb.low:.3g} … {found.coulomb.high:.3g} {units.effort}: "
-                "its periods differ too much to say more",
+                f"the balance gives {found.coulomb.low:.3g} … {found.coulomb.high:.3g} "
+                f"{units.effort}: its periods differ too much to say more",
             )
         )
     if sum(found.rejected):
@@ -249,8 +254,8 @@ def agreement(fast: ModulatingEstimate, exact: LockIn, units: UnitNames) -> Reas
         return Reason(
             "methods.agree",
             Weight.NOTE,
-            f"{told}: the balance means over the torques and speeds of its tests, the law above says how "
-            "friction goes with them",
+            f"{told}: the balance means over the torques and speeds of its tests, the law above "
+            "says how friction goes with them",
         )
     return Reason(
         "methods.agree",
@@ -270,8 +275,8 @@ def of_torque(
             Reason(
                 "torque.scale",
                 weight,
-                f"the drive measures {100 * gain:.0f} % of the torque that is commanded: it limits, or "
-                "its torque scale is wrong",
+                f"the drive measures {100 * gain:.0f} % of the torque that is commanded: it "
+                "limits, or its torque scale is wrong",
             )
         )
     if dwell > _DWELL:
@@ -325,7 +330,9 @@ _A_PUSH = 0.05  # of the largest command
 
 
 def is_unsigned(measured: Array, command: Array) -> bool:
-    """Whether a drive tells its torque without a sign: a command that pushes both ways, and never below zero.
+    """Whether a drive tells its torque without a sign.
+
+    A command that pushes both ways, and never below zero.
 
     Parameters
     ----------
@@ -345,8 +352,8 @@ def torque_gain(measured: Array, command: Array) -> float | None:
 
     Of a torque without a sign: mean size over mean size.
 
-    A drive that is read some time after it was commanded shows the torque before the command is said to be
-    in force: the lag may be a cycle or two the other way.
+    A drive that is read some time after it was commanded shows the torque before the command is
+    said to be in force: the lag may be a cycle or two the other way.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Windows over a record, and the weighted least squares of what they see.
 
-A window is sin⁴ at the samples and straight between them; neighbours overlap, so periods, not windows,
-are what a jackknife or a held-out residual leaves out.
+A window is sin⁴ at the samples and straight between them; neighbours overlap, so periods, not
+windows, are what a jackknife or a held-out residual leaves out.
 """
 
 from __future__ import annotations
@@ -78,7 +78,10 @@ class Windows:
 
 
 class Problem:
-    """Weighted least squares: columns inertia, viscous, offset, the law's terms, change of dead time."""
+    """Weighted least squares.
+
+    Columns inertia, viscous, offset, the law's terms, change of dead time.
+    """
 
     def __init__(self, left: Array, right: Array, weights: Array) -> None:
         self._weights = weights
@@ -130,7 +133,7 @@ class Problem:
         return 1 - float(left @ left) / float(rest @ rest)
 
     def held_out(self, periods: NDArray[Any]) -> float:
-        """Relative residual on the odd periods of a fit to the even ones, and the other way round."""
+        """Relative residual on the odd periods of a fit to the even ones, and vice versa."""
         odd = periods % 2 == 1
         if odd.all() or not odd.any():
             return float("inf")

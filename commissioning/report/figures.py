@@ -1,4 +1,7 @@
-"""Pictures of a run, as SVG text. Lines differ by dash and marker too: they survive a black print."""
+"""Pictures of a run, as SVG text.
+
+Lines differ by dash and marker too: they survive a black print.
+"""
 
 from __future__ import annotations
 
@@ -196,8 +199,9 @@ def loci(
 ) -> Figure:
     """The thesis' Figures 4, 5 and 6 for this axis: the loci −1/N beside the identified G.
 
-    −1/N over the amplitude d without hysteresis, over d with one hysteresis, and over the hysteresis with
-    one d (half of the relay's swing, N.m or N; half-width, rad or m). Default: those of the run's relay.
+    −1/N over the amplitude d without hysteresis, over d with one hysteresis, and over the
+    hysteresis with one d (half of the relay's swing, N.m or N; half-width, rad or m). Default:
+    those of the run's relay.
 
     Raises ValueError where the run has no oscillation, no point or no friction.
     """
@@ -311,7 +315,7 @@ def _clipped(value: float | None) -> float:
 
 
 def _steps(axes: Axes, sets: Sequence[GainSet], unit: str, curves: Mapping[str, Array]) -> None:
-    """The best set, and the rule that takes the distorted point as it is, naive beside corrected."""
+    """The best set, and the rule that takes the distorted point, naive beside corrected."""
     best = next((s.rule for s in sets if s.best), None)
     longest = size = 0.0
     for rule, color in ((best, BLUE), ("astrom-hagglund", ORANGE)):
@@ -367,7 +371,10 @@ def friction_curve(result: RunResult) -> str:
 
 
 def following(found: Verification, curves: Mapping[str, Array]) -> str:
-    """Following error after reversals, without compensation and with what stays; '' without a record."""
+    """Following error after reversals, without compensation and with what stays.
+
+    '' without a record.
+    """
     kept = next((n for n, step in enumerate(found.steps) if step.kept), len(found.steps) - 1)
     before, after = (curves.get(f"verify.{n}") for n in (0, kept))
     if before is None or after is None or len(before) != 3 or len(after) != 3:

@@ -1,4 +1,4 @@
-"""Pictures of odd numbers and of names in any letters, without what the library has to say about them."""
+"""Pictures of odd numbers and of names in any letters, without the library's warnings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ __all__ = ["quiet"]
 
 @contextmanager
 def quiet() -> Generator[None]:
-    """Meanwhile matplotlib warns nobody: of a range without a width, of a letter that its font lacks."""
+    """Meanwhile matplotlib warns nobody.
+
+    Of a range without a width, of a letter that its font lacks.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         yield

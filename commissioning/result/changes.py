@@ -16,7 +16,8 @@ class Change:
 
     Attributes
     ----------
-    old, new : SI at the axis; `new` is what the drive holds, after rounding; old is None where not read
+    old, new : SI at the axis; `new` is what the drive holds, after rounding; old is None where not
+        read
     old_raw, new_raw : as the drive counts, in `raw_unit`
     rounded_by : what the drive's resolution took or gave, SI
     """
@@ -34,7 +35,10 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Host:
-    """What a master adds in every cycle, offset + coulomb · sign(v), where the drive has no compensation."""
+    """What a master adds in every cycle where the drive has no compensation.
+
+    That is offset + coulomb · sign(v).
+    """
 
     parameter: Text
     address: Text
@@ -48,12 +52,13 @@ class Host:
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """A parameter that this run changed in the drive and that is not back, as of the last act on it.
+    """A parameter that this run changed in the drive, not back as of the last act on it.
 
     Attributes
     ----------
     raw, value : as the drive counts, and SI; the value is None where its scale is not known
-    certain : it was read back; False: the write was cut off, the drive has this value or the old one
+    certain : it was read back; False: the write was cut off, the drive has this value or the old
+        one
     """
 
     parameter: Text

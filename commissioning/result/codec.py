@@ -1,7 +1,7 @@
 """Results to and from JSON: the only place that knows keys. Reads tworelay.run/1 and /2, writes /2.
 
-A file of a run is anybody's: it has the types and ranges of `document`, or it is refused with the place
-that is wrong.
+A file of a run is anybody's: it has the types and ranges of `document`, or it is refused with the
+place that is wrong.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ def _adapter() -> TypeAdapter[RunResult]:
     return TypeAdapter(RunResult)
 
 
-# -- out --------------------------------------------------------------------------------------------
+# -- out
+# --------------------------------------------------------------------------------------------
 
 
 def encode(result: RunResult) -> Tree:
@@ -89,7 +90,8 @@ def text_of(result: RunResult) -> str:
     return json.dumps(encode(result), indent=1, allow_nan=False) + "\n"
 
 
-# -- in ---------------------------------------------------------------------------------------------
+# -- in
+# ---------------------------------------------------------------------------------------------
 
 
 def decode(tree: Any, origin: str) -> tuple[RunResult, Curves]:
@@ -123,7 +125,8 @@ def first_error(error: ValidationError) -> str:
     return f"'{where}' {'must be there' if one['type'] == 'missing' else wanted}"
 
 
-# -- from /1 ----------------------------------------------------------------------------------------
+# -- from /1
+# ----------------------------------------------------------------------------------------
 
 _SAME = (
     "status", "run", "axis", "link", "profile", "identity", "units", "critical_point",
@@ -231,7 +234,8 @@ def _experiment_of_1(old: Tree | None) -> Tree | None:
     return new
 
 
-# -- the schema -------------------------------------------------------------------------------------
+# -- the schema
+# -------------------------------------------------------------------------------------
 
 
 def schema() -> Tree:

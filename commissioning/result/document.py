@@ -1,6 +1,9 @@
-"""The result of a run: what was found, what was changed, and how it ended. Frozen; changed by `replace`.
+"""The result of a run: what was found, what was changed, and how it ended.
 
-SI units at the axis, named in `Units`. What was not measured is None, never 0. `codec` reads and writes it.
+Frozen; changed by `replace`.
+
+SI units at the axis, named in `Units`. What was not measured is None, never 0. `codec` reads and
+writes it.
 """
 
 from __future__ import annotations
@@ -45,7 +48,10 @@ class ProfileMark:
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """How far the numbers can be trusted; the verdict is None where nothing was measured to its end."""
+    """How far the numbers can be trusted.
+
+    The verdict is None where nothing was measured to its end.
+    """
 
     verdict: Verdict | None = None
     reasons: tuple[Reason, ...] = ()

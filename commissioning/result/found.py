@@ -175,7 +175,7 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class CriticalPoints:
-    """The plant at the relay's own frequency, read in several ways, and where tuning rules want it."""
+    """The plant at the relay's frequency, read in several ways, and where rules want it."""
 
     naive: Point | None = None
     hysteresis: Point | None = None

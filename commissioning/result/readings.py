@@ -109,7 +109,10 @@ class LawReading:
 
 @dataclass(frozen=True, slots=True)
 class ModulatingReading:
-    """Modulating functions: numbers, law, and what says how far to trust them; shares of the torque."""
+    """Modulating functions: numbers, law, and what says how far to trust them.
+
+    Shares of the torque.
+    """
 
     coulomb: Finite
     offset: Finite
@@ -156,7 +159,10 @@ class SteadyReading:
 
 @dataclass(frozen=True, slots=True)
 class Methods:
-    """What was run, each with its own reading; of a measurement that was repeated, of the last repeat."""
+    """What was run, each with its own reading.
+
+    Of a measurement that was repeated, of the last repeat.
+    """
 
     two_relay: TwoRelayReading | None = None
     two_relay_delay: TwoRelayReading | None = None

@@ -94,8 +94,10 @@ def duration(value: float | None) -> str:
 
 
 WHY_NOT = {  # of gains that are not proposed, for a column
-    "gains.unstable": "unstable", "gains.no-crossover": "no crossover", "gains.margin": "PM too small",
-    "gains.sensitivity": "Ms too large", "gains.too-fast": "too fast", "gains.off-goal": "off its goal",
+    "gains.unstable": "unstable", "gains.no-crossover": "no crossover",
+    "gains.margin": "PM too small",
+    "gains.sensitivity": "Ms too large", "gains.too-fast": "too fast",
+    "gains.off-goal": "off its goal",
     "gains.overshoots": "overshoots", "gains.unsettled": "does not settle",
     "gains.out-of-range": "out of range", "gains.too-fine": "too fine",
     "gains.distorted": "distorted", "gains.no-point": "no such point",
@@ -122,11 +124,12 @@ def gains_lines(item: GainSet, units: Units) -> list[str]:
     return found
 
 
-# -- what is changed --------------------------------------------------------------------------------
+# -- what is changed
+# --------------------------------------------------------------------------------
 
 
 def host_law(terms: Host) -> str:
-    """What the master of a drive adds in every cycle, where the drive has no compensation of its own."""
+    """What the master of a drive without a compensation of its own adds in every cycle."""
     return (
         f"this drive leaves friction to its master: in cyclic position or velocity mode add to "
         f"{terms.parameter} ({terms.address}) in every cycle {terms.offset_raw:+d} "
@@ -164,12 +167,13 @@ def helps(found: Verification) -> str:
     if kept is None or found.percent is None:
         return "verified: the compensation did not help; the old values were put back"
     return (
-        f"verified: {found.percent:.0f} % less error after reversals with {100 * kept.fraction:g} % of the "
-        "friction compensated"
+        f"verified: {found.percent:.0f} % less error after reversals with {100 * kept.fraction:g} "
+        "% of the friction compensated"
     )
 
 
-# -- how it ended -----------------------------------------------------------------------------------
+# -- how it ended
+# -----------------------------------------------------------------------------------
 
 _AXIS = {
     AxisState.AT_REST: "axis at rest and off",
@@ -188,15 +192,17 @@ def axis_words(state: AxisState) -> str:
 
 
 def act_ended(result: RunResult) -> str:
-    """The line of truth of an act: axis, experiment's settings, compensation in the drive, who ended it.
+    """The line of truth of an act.
+
+    Axis, experiment's settings, compensation in the drive, who ended it.
 
     What no act has just looked at is said to be the journal's word.
     """
     ending = result.ending
     if ending is None:
         return (
-            "under way, or cut off: nothing is known of its end; 'tworelay stop' and 'tworelay restore' "
-            "finish it"
+            "under way, or cut off: nothing is known of its end; 'tworelay stop' and 'tworelay "
+            "restore' finish it"
         )
     known = []
     if ending.settings is not None and result.run is not None:

@@ -44,7 +44,8 @@ class Verification:
 
     Attributes
     ----------
-    kept_fraction : of the friction, that stays compensated; None: it does not help, the old values are back
+    kept_fraction : of the friction, that stays compensated; None: it does not help, the old values
+        are back
     percent : that the error after reversals is less with it; None: it does not help
     """
 
@@ -86,7 +87,8 @@ class GainSet:
     Attributes
     ----------
     gains : by name, SI, None: infinite; empty where the rule gives none, and `why_not` says why
-    why_not, why_not_code : why they are not proposed, for people and as a stable name; '' where they are
+    why_not, why_not_code : why they are not proposed, for people and as a stable name; '' where
+        they are
     ms : largest sensitivity
     crossover, bandwidth : rad/s
     parameters : the gains as the drive holds them, where its profile maps them

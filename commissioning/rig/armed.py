@@ -1,4 +1,7 @@
-"""A run that moves an axis: checks, arming, journal and record around whatever work is done in it."""
+"""A run that moves an axis.
+
+Checks, arming, journal and record around whatever work is done in it.
+"""
 
 from __future__ import annotations
 

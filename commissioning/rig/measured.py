@@ -77,8 +77,8 @@ class Measured:
     shown : one oscillation at d1 and one at d2
     record : what the chosen method read
     by : what each method that was run has found
-    corrected, second : the plant read from the phasors of the relay's limit cycle, and of an oscillation
-        of another amplitude at the same frequency
+    corrected, second : the plant read from the phasors of the relay's limit cycle, and of an
+        oscillation of another amplitude at the same frequency
     points : the plant at the phases that tuning rules ask for
     """
 

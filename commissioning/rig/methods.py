@@ -145,7 +145,8 @@ def _why(found: ModulatingEstimate) -> str:
     if found.law.rungs:
         names = {
             "stribeck": "a Stribeck effect", "soft": "soft friction",
-            "load": "friction that grows with the torque", "position": "a position-dependent torque",
+            "load": "friction that grows with the torque",
+            "position": "a position-dependent torque",
         }  # fmt: skip
         return " and ".join(names[rung] for rung in found.law.rungs)
     if found.halves > 0.02:
@@ -294,7 +295,10 @@ def _two_relay(ready: Ready, switching: Switching) -> Plan[TwoRelay]:
 
 
 def _all(ready: Ready) -> Measured:
-    """Every method; the numbers from `auto`. A method of the thesis that fails is a reason, no end."""
+    """Every method; the numbers from `auto`.
+
+    A method of the thesis that fails is a reason, no end.
+    """
     measured = _auto(ready)
     for method in METHODS:
         if method.read is None or method.name in measured.by:

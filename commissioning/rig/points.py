@@ -1,7 +1,8 @@
 """The plant at −180° and at −135°: measured where the axis allows it, else computed from the model.
 
-The model says at which period the phase is wanted; an oscillation is held there and read with phasors,
-and where the phase that it shows is another one, the period is corrected and the oscillation repeated.
+The model says at which period the phase is wanted; an oscillation is held there and read with
+phasors, and where the phase that it shows is another one, the period is corrected and the
+oscillation repeated.
 """
 
 from __future__ import annotations
@@ -60,7 +61,10 @@ def computed(model: dict[str, Estimate | None], phase: float) -> Wished:
 
 
 def points(measured: Measured, *, move: bool) -> None:
-    """Put both points into `measured`; with `move` measure them. Says what is not there or not measured."""
+    """Put both points into `measured`; with `move` measure them.
+
+    Says what is not there or not measured.
+    """
     model = {name: measured.estimate(name) for name in ("inertia", "viscous", "dead_time")}
     for key, phase in TARGETS.items():
         wished = computed(model, phase)
@@ -145,8 +149,8 @@ def _wanted(point: CriticalPoint, measured: Measured) -> tuple[Wanted | None, fl
     travel = needs[-1][0]
     if period < _FEWEST_CYCLES * context.cycle:
         return None, travel, (
-            f"its period of {period * 1000:.3g} ms is beyond a cycle of {context.cycle * 1000:g} ms "
-            f"({_FEWEST_CYCLES} cycles a period are needed)"
+            f"its period of {period * 1000:.3g} ms is beyond a cycle of {context.cycle * 1000:g} "
+            f"ms ({_FEWEST_CYCLES} cycles a period are needed)"
         )  # fmt: skip
     if period > _LONGEST:
         return None, travel, (
@@ -168,7 +172,8 @@ def _wanted(point: CriticalPoint, measured: Measured) -> tuple[Wanted | None, fl
         elif ready.heat(wanted.amplitude, _PERIODS * period) > _HEAT_SHARE:
             why_not = f"{_PERIODS * period:.3g} s of its torque would be too much for the motor"
         elif wanted.half_swing < _FEWEST_COUNTS * context.resolution:
-            why_not = f"its half-swing would be {wanted.half_swing / context.resolution:.0f} encoder counts"
+            counts = wanted.half_swing / context.resolution
+            why_not = f"its half-swing would be {counts:.0f} encoder counts"
         else:
             return wanted, travel, ""
     return None, travel, why_not

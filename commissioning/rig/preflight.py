@@ -78,8 +78,8 @@ def look(drive: Drive, axis: Axis) -> None:
     if watchdog.kind != "none" and drive.cycle > watchdog.timeout / CYCLES_A_WATCHDOG:
         raise PreflightRefused(
             f"a cycle of {drive.cycle * 1000:g} ms is too slow for the drive's watchdog of "
-            f"{watchdog.timeout * 1000:g} ms, which needs {CYCLES_A_WATCHDOG} cycles; give a shorter "
-            "--cycle",
+            f"{watchdog.timeout * 1000:g} ms, which needs {CYCLES_A_WATCHDOG} cycles; give a "
+            "shorter --cycle",
             code="preflight.cycle",
             value=drive.cycle,
             limit=watchdog.timeout / CYCLES_A_WATCHDOG,
@@ -89,7 +89,8 @@ def look(drive: Drive, axis: Axis) -> None:
     if other:
         raise PreflightRefused(
             f"another master is on the bus ({other} was heard): two masters move an axis against "
-            "each other; disconnect it or stop its program (if it only produces SYNC: sync=bus in the link)",
+            "each other; disconnect it or stop its program (if it only produces SYNC: sync=bus in "
+            "the link)",
             code="preflight.master",
         )
     drive.preparation.check_requirements()
@@ -99,8 +100,9 @@ def look(drive: Drive, axis: Axis) -> None:
         active = [name for name in law.terms.values() if drive.read(name).raw != 0]
         if active:
             raise PreflightRefused(
-                f"this drive's compensation acts in torque mode too, and {', '.join(active)} is not "
-                "zero: the friction would be measured less what is compensated; set it to zero first",
+                f"this drive's compensation acts in torque mode too, and {', '.join(active)} is "
+                "not zero: the friction would be measured less what is compensated; set it to zero "
+                "first",
                 code="preflight.compensation",
             )
     moved = still_moving(drive)
@@ -177,9 +179,9 @@ def _torque(drive: Drive, axis: Axis, options: Options, rated: float) -> float:
     if most <= 0:
         if asked is None:
             raise PreflightRefused(
-                f"the drive's own torque limit ('{by_torque}') reads {most:g} {e}, which is no limit, or "
-                f"no torque: set it in the drive, or give --max-torque in {e}, which is set for the "
-                "experiment",
+                f"the drive's own torque limit ('{by_torque}') reads {most:g} {e}, which is no "
+                f"limit, or no torque: set it in the drive, or give --max-torque in {e}, which is "
+                "set for the experiment",
                 code="preflight.torque-limit",
             )
         most = asked
@@ -189,7 +191,8 @@ def _torque(drive: Drive, axis: Axis, options: Options, rated: float) -> float:
     torque = asked or min(rated, most)
     if torque > most * (1 + 1e-9):
         raise PreflightRefused(
-            f"max torque of {torque:.4g} {e} is above the drive's own limit of {most:.4g} {e} ({by})",
+            f"max torque of {torque:.4g} {e} is above the drive's own limit of {most:.4g} {e} "
+            f"({by})",
             code="preflight.torque",
             value=torque,
             limit=most,
@@ -234,7 +237,9 @@ def writes(drive: Drive, limits: Limits) -> dict[str, int]:
 
 
 def cautious_speed(drive: Drive, limits: Limits, dead_time: float | None = None) -> float:
-    """Speed until the stop path is proved, rad/s or m/s: half the travel for as long as a stop may take.
+    """Speed until the stop path is proved, rad/s or m/s.
+
+    Half the travel for as long as a stop may take.
 
     `dead_time` : s, once it has been seen
     """
@@ -255,7 +260,10 @@ def widen_speed(drive: Drive, settings: Settings, speed: float) -> None:
 def set_limits(
     drive: Drive, settings: Settings, limits: Limits, tell: Callable[[str], None]
 ) -> None:
-    """Write the drive-side limits and arm the watchdog; refused when the drive does not take them."""
+    """Write the drive-side limits and arm the watchdog.
+
+    Refused when the drive does not take them.
+    """
     for name, raw in writes(drive, limits).items():
         try:
             settings.write("experiment", name, raw)
@@ -272,8 +280,8 @@ def set_limits(
     if drive.state().is_energised:
         verified(drive.stop(), None)
         raise PreflightRefused(
-            "the drive became enabled while it was prepared, before any command: what enables it? Look at "
-            "its inputs and at [[modes.torque]] before in the profile",
+            "the drive became enabled while it was prepared, before any command: what enables it? "
+            "Look at its inputs and at [[modes.torque]] before in the profile",
             code="preflight.enabled-itself",
         )
 
@@ -282,9 +290,9 @@ def check_watchdog(drive: Drive, *, without: bool) -> None:
     """Refuse a drive that would not notice a dead link, unless the user has said `without`."""
     if drive.watchdog.kind == "none" and not without:
         raise PreflightRefused(
-            f"{drive.profile} has no drive-side watchdog for this drive and link, so a dead "
-            "cable would leave the torque on; --without-watchdog takes that risk, with the emergency stop in "
-            "your hand",
+            f"{drive.profile} has no drive-side watchdog for this drive and link, so a dead cable "
+            "would leave the torque on; --without-watchdog takes that risk, with the emergency "
+            "stop in your hand",
             code="preflight.no-watchdog",
         )
 
@@ -299,11 +307,12 @@ def prove_watchdog(
     without: bool,
     before: str | None = None,
 ) -> str:
-    """Enable with the rest torque, fall silent, and see the drive stop by itself, and the axis stay.
+    """Enable with the rest torque, fall silent; see the drive stop, and the axis stay.
 
-    Returns the fault with which it stopped, '' without a watchdog. `before`: that of an earlier proof;
-    another one stays in the drive, and is a DriveFault: it was not the watchdog. Raises PreflightRefused
-    when drive or axis does otherwise, or when the drive has no watchdog and `without` is not set.
+    Returns the fault with which it stopped, '' without a watchdog. `before`: that of an earlier
+    proof; another one stays in the drive, and is a DriveFault: it was not the watchdog. Raises
+    PreflightRefused when drive or axis does otherwise, or when the drive has no watchdog and
+    `without` is not set.
     """
     watchdog = drive.watchdog
     check_watchdog(drive, without=without)
@@ -335,17 +344,17 @@ def prove_watchdog(
         if energised:
             verified(drive.stop(interruption.hurried), None)
             raise PreflightRefused(
-                f"the drive did not stop after {3 * watchdog.timeout * 1000:.0f} ms of silence: its "
-                f"watchdog ('{watchdog.parameter}') is not proved, so nothing is moved. "
-                "(A served drive that steps needs clock=step in its link.)",
+                f"the drive did not stop after {3 * watchdog.timeout * 1000:.0f} ms of silence: "
+                f"its watchdog ('{watchdog.parameter}') is not proved, so nothing is moved. (A "
+                "served drive that steps needs clock=step in its link.)",
                 code="watchdog.not-proved",
             )
         found = drive.state().fault
         if before is not None and found != before:
             raise DriveFault(
-                f"while its watchdog was proved the drive stopped with '{found}', and with '{before}' in an "
-                "earlier proof: something else has stopped it. Look the code up in its manual, remove the "
-                "cause, then try again",
+                f"while its watchdog was proved the drive stopped with '{found}', and with "
+                f"'{before}' in an earlier proof: something else has stopped it. Look the code up "
+                "in its manual, remove the cause, then try again",
                 code="watchdog.another-fault",
             )
         if before is None:  # before a reset makes the drive forget it
@@ -353,16 +362,17 @@ def prove_watchdog(
             stranger = drive.state().stranger
             if stranger:
                 tell(
-                    f"that is no error of communication ({stranger}): was it its watchdog that stopped the "
-                    "drive, or something else at the same time?"
+                    f"that is no error of communication ({stranger}): was it its watchdog that "
+                    "stopped the drive, or something else at the same time?"
                 )
         if drive.state().in_fault:
             drive.reset_fault()
         moved = drive.read("position_actual").si - begin
         if abs(moved) > _STAYS * travel:
             raise PreflightRefused(
-                f"the axis, or its encoder, moved by {moved:+.3g} (of ±{travel:.4g} that are allowed) while "
-                "the watchdog was proved with the torque that holds it: find out why first",
+                f"the axis, or its encoder, moved by {moved:+.3g} (of ±{travel:.4g} that are "
+                "allowed) while the watchdog was proved with the torque that holds it: find out "
+                "why first",
                 code="watchdog.moved",
                 value=moved,
                 limit=_STAYS * travel,

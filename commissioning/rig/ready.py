@@ -1,4 +1,7 @@
-"""An axis that is ready for its oscillations: first motions done, stop path proved, design chosen."""
+"""An axis that is ready for its oscillations.
+
+First motions done, stop path proved, design chosen.
+"""
 
 from __future__ import annotations
 
@@ -125,7 +128,10 @@ class Ready:
         return self.duration - self.mover.spent
 
     def heat(self, torque: float, seconds: float) -> float:
-        """Share of the i²t budget in use after ± a torque (N.m or N) about the bias for `seconds`."""
+        """Share of the i²t budget in use after a torque about the bias for `seconds`.
+
+        `torque` : N.m or N, either way.
+        """
         more = torque**2 + self.known.offset**2 - self.envelope.rated**2
         return (self.mover.heat_left() + max(more, 0.0) * seconds) / self.envelope.thermal
 

@@ -55,7 +55,10 @@ class Rejected(MeasurementRejected):
 
 
 def judged(result: RunResult, reasons: Sequence[Reason]) -> RunResult:
-    """`result` with its verdict, the weightiest reason first; raises Rejected, without any friction."""
+    """`result` with its verdict, the weightiest reason first.
+
+    Raises Rejected, without any friction.
+    """
     ordered = weightiest_first(reasons)
     result = replace(result, quality=Quality(verdict(ordered), tuple(ordered)))
     if result.quality.verdict == "rejected":
@@ -64,7 +67,8 @@ def judged(result: RunResult, reasons: Sequence[Reason]) -> RunResult:
     return result
 
 
-# -- numbers ----------------------------------------------------------------------------------------
+# -- numbers
+# ----------------------------------------------------------------------------------------
 
 
 def quantity(
@@ -112,11 +116,15 @@ def curve_of(fits: Sequence[ModulatingEstimate | SteadyFit], fastest: float) -> 
     return Curve(tuple(speed.tolist()), tuple(level.tolist()))
 
 
-# -- the plant --------------------------------------------------------------------------------------
+# -- the plant
+# --------------------------------------------------------------------------------------
 
 
 def critical_points(measured: Measured, right: CriticalPoint | None) -> CriticalPoints:
-    """The readings at the relay's own frequency (`right`: the corrected one), and the points wanted."""
+    """The readings at the relay's own frequency (`right`.
+
+    The corrected one), and the points wanted.
+    """
     return CriticalPoints(
         _point(naive(measured.relay)),
         _point(hysteresis_only(measured.relay)),
@@ -148,7 +156,8 @@ def _point(point: CriticalPoint | None) -> Point | None:
     )
 
 
-# -- the experiment ---------------------------------------------------------------------------------
+# -- the experiment
+# ---------------------------------------------------------------------------------
 
 
 def cycles(shown: Sequence[Oscillation], begin: float) -> tuple[Oscillated, ...]:

@@ -1,4 +1,7 @@
-"""One connected drive and all that its run has, built whole; `prepare` makes it ready for a method."""
+"""One connected drive and all that its run has, built whole.
+
+`prepare` makes it ready for a method.
+"""
 
 from __future__ import annotations
 
@@ -118,7 +121,10 @@ class Rig:
         return self.mover.recorder
 
     def as_the_drive_counts(self, name: str, value: float) -> tuple[float | None, str | None]:
-        """A torque, N.m or N, in steps of the drive, and what a step is; None for other quantities."""
+        """A torque, N.m or N, in steps of the drive, and what a step is.
+
+        None for other quantities.
+        """
         if name not in ("coulomb", "offset"):
             return None, None
         torque = self.drive.parameters[TORQUE]

@@ -1,7 +1,7 @@
 """A run of another computer is taken in: shown, compared with what is known here, and agreed to.
 
-What it says about the drive is not believed. Its profile stays outside: the profile of the drive as it is
-known here is what the run is applied, verified and restored by.
+What it says about the drive is not believed. Its profile stays outside: the profile of the drive as
+it is known here is what the run is applied, verified and restored by.
 """
 
 from __future__ import annotations
@@ -76,7 +76,8 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
             code="adopt.there",
         )
     named = (
-        ("run", result.run, run), ("axis", result.axis, record.axis), ("link", result.link, record.link)
+        ("run", result.run, run), ("axis", result.axis, record.axis), ("link", result.link,
+        record.link)
     )  # fmt: skip
     for key, told, there in named:
         if told != there:
@@ -100,8 +101,8 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
     samples = folder.samples()
     show(Adopted(run, axis, record.serial, here, history.intents))
     desk.agree(
-        "This run of another computer will be TAKEN IN: 'apply', 'verify' and 'restore' then write to the "
-        f"drive of axis '{record.axis}' by it.",
+        "This run of another computer will be TAKEN IN: 'apply', 'verify' and 'restore' then write "
+        f"to the drive of axis '{record.axis}' by it.",
         record.axis,
         "it was not taken in",
     )

@@ -102,7 +102,8 @@ def _late_share(time: Array) -> float:
     return float(np.mean(steps > 1.5 * np.median(steps)))
 
 
-# -- constant speeds --------------------------------------------------------------------------------
+# -- constant speeds
+# --------------------------------------------------------------------------------
 
 
 def _steady(result: RunResult, recordings: list[Recording]) -> RunResult:
@@ -134,7 +135,8 @@ def _steady_reasons(found: SteadyFit, units: Units) -> list[Reason]:
             Reason(
                 "fit.left-out",
                 Weight.DOUBT,
-                f"speeds that were left out of the fit are met to {100 * found.held_out:.1f} % only",
+                f"speeds that were left out of the fit are met to {100 * found.held_out:.1f} % "
+                "only",
             )
         )
     if found.stribeck_speed is not None:
@@ -157,7 +159,8 @@ def _steady_reasons(found: SteadyFit, units: Units) -> list[Reason]:
     return reasons
 
 
-# -- any motion -------------------------------------------------------------------------------------
+# -- any motion
+# -------------------------------------------------------------------------------------
 
 
 def _motion(
@@ -187,8 +190,8 @@ def _motion(
         exact = lock_in(first, second, record.resolution, watched.cycle)
     elif method == "lock-in":
         raise MeasurementRejected(
-            f"the exact balance needs two steady oscillations of one period and different swing; the "
-            f"recording has {len(oscillations)} steady stretches. Use --method modulating",
+            "the exact balance needs two steady oscillations of one period and different swing; "
+            f"the recording has {len(oscillations)} steady stretches. Use --method modulating",
             code="recording.no-pair",
         )
     if method != "lock-in":
@@ -262,7 +265,7 @@ def _refuse_one_oscillation(record: Record, oscillations: list[Steady], units: U
         return
     raise MeasurementRejected(
         f"one oscillation only (half-swing {swings[0]:.3g} {units.position}, period "
-        f"{oscillations[0].period * 1000:.4g} ms): it cannot tell Coulomb from viscous friction; record "
-        "two of clearly different torque",
+        f"{oscillations[0].period * 1000:.4g} ms): it cannot tell Coulomb from viscous friction; "
+        "record two of clearly different torque",
         code="recording.one-oscillation",
     )

@@ -35,8 +35,8 @@ def apply(
 ) -> RunResult:
     """Write the proposal of `run` to its drive, read back, store; return the result.
 
-    `show` gets the proposal with the values that are in the drive now. `gains`: rule whose gains of the
-    drive's own loops are written, too. `prove_first`: nothing is stored.
+    `show` gets the proposal with the values that are in the drive now. `gains`: rule whose gains of
+    the drive's own loops are written, too. `prove_first`: nothing is stored.
     """
     run_id, folder = own_run(desk.journal, run)
     history = desk.journal.history(run_id)
@@ -111,7 +111,7 @@ def _found_there(
     present: tuple[Change, ...],
     gained: tuple[Change, ...],
 ) -> None:
-    """Journal what somebody else has written as this run proposes it, so that there is a way back."""
+    """Journal what somebody else has written as this run proposes it: the way back."""
     for change, now in zip(proposal, present, strict=True):
         cell = history.image.get(change.parameter)
         known = cell is not None and cell.raw == now.old_raw
@@ -184,7 +184,10 @@ def _write(
     *,
     stores: bool,
 ) -> None:
-    """RAM first, each read back; then store once, other masters no longer locked out; then read again."""
+    """RAM first, each read back.
+
+    Then store once, other masters no longer locked out; then read again.
+    """
     settings = Settings(desk.journal, run_id, drive)
     with settings.exclusive_access():
         for change in wanted:

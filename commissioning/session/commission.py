@@ -1,4 +1,7 @@
-"""The whole job on one axis: write to RAM, prove, store once; or leave the drive as it was found."""
+"""The whole job on one axis: write to RAM, prove, store once.
+
+Or leave the drive as it was found.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +36,8 @@ def prove_and_store(run: str, desk: Desk, show: Show, *, without_watchdog: bool)
     Raises
     ------
     TwoRelayError
-        The proof was not reached, or does not help: the drive is as it was found, or the message names what
-        is not, and the run stays open for `restore`.
+        The proof was not reached, or does not help: the drive is as it was found, or the message
+        names what is not, and the run stays open for `restore`.
     """
     folder = RunFolder.of(desk.journal, run)
     try:
@@ -76,7 +79,10 @@ def _close(
     notes: tuple[str, ...],
     axis: AxisState | None,
 ) -> None:
-    """What the run keeps of a proof that was not reached; `axis`: as the drive said it afterwards."""
+    """What the run keeps of a proof that was not reached.
+
+    `axis`: as the drive said it afterwards.
+    """
     history = desk.journal.history(run)
     result = folder.result(history)
     result = replace(result, notes=result.notes + notes)

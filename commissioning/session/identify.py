@@ -121,9 +121,10 @@ def _of_jitter(watched: Experiment, reasons: list[Reason]) -> list[Reason]:
         Reason(
             "link.irregular",
             Weight.NOTE,
-            f"{100 * late:.1f} % of the cycles came late and {100 * lost:.1f} % were lost, which alone can "
-            f"leave torque unexplained: try a longer --cycle than {watched.cycle * 1000:g} ms "
-            "('tworelay latency' finds one), or a less busy computer, before the axis is taken for elastic",
+            f"{100 * late:.1f} % of the cycles came late and {100 * lost:.1f} % were lost, which "
+            "alone can leave torque unexplained: try a longer --cycle than "
+            f"{watched.cycle * 1000:g} ms ('tworelay latency' finds one), or a less busy computer, "
+            "before the axis is taken for elastic",
         )
     ]
 
@@ -136,7 +137,7 @@ def _turnaround(recorder: Recorder) -> float:
 
 
 def _right_point(measured: Measured) -> tuple[CriticalPoint | None, complex]:
-    """The plant at the relay's own frequency, and the friction that puts the relay's locus on it."""
+    """The plant at the relay's frequency, and the friction that puts its locus on it."""
     point = measured.corrected
     if point is None:
         balance = measured.thesis
@@ -158,7 +159,8 @@ def _reasons(measured: Measured, samples: list[Sample], cycle: float) -> list[Re
                 Reason(
                     "quantity.unknown",
                     Weight.NOTE,
-                    f"{text} is not identifiable from this record: more travel or speed would show it",
+                    f"{text} is not identifiable from this record: more travel or speed would show "
+                    "it",
                 )
             )
     thesis = measured.ready.pace is LONG
@@ -187,9 +189,9 @@ def _reasons(measured: Measured, samples: list[Sample], cycle: float) -> list[Re
             Reason(
                 "torque.limited",
                 Weight.CONTRADICTION if limited > _MUCH_LIMITED else Weight.DOUBT,
-                f"the drive's own limiter acted in {100 * limited:.1f} % of the cycles, so that the "
-                "axis did not get the torque that was commanded; raise the drive's limits or lower "
-                "--max-torque",
+                f"the drive's own limiter acted in {100 * limited:.1f} % of the cycles, so that "
+                "the axis did not get the torque that was commanded; raise the drive's limits or "
+                "lower --max-torque",
             )
         )
     record, f = measured.record, measured.found.coulomb.value

@@ -1,4 +1,4 @@
-"""How fast and how regular a link is, what that means for an experiment, and how late a torque acts."""
+"""How fast and how regular a link is, and how late a torque acts."""
 
 from __future__ import annotations
 
@@ -107,8 +107,8 @@ def dead_time(axis: Axis, options: Options, desk: Desk) -> RunResult:
 def latency(axis: Axis, count: int, desk: Desk) -> Latency:
     """Measure with the drive de-energised; raises LinkError, PreflightRefused, UsageError.
 
-    What answers within 2 s is measured, whatever the drive's watchdog bears: it is to be chosen by this. A
-    link that is lost on the way leaves what has been measured.
+    What answers within 2 s is measured, whatever the drive's watchdog bears: it is to be chosen by
+    this. A link that is lost on the way leaves what has been measured.
     """
     if axis.link is None or axis.link.startswith("virtual://"):
         raise UsageError("latency: virtual:// has no link to be late; serve the axis")
@@ -153,7 +153,10 @@ def _patient(axis: Axis) -> Axis:
 
 
 def _taken(values: Iterator[T], count: int, desk: Desk) -> list[T]:
-    """As many of them as come within some time, and before the link is lost; raises LinkError for too few."""
+    """As many of them as come within some time, and before the link is lost.
+
+    Raises LinkError for too few.
+    """
     found: list[T] = []
     begun = perf_counter()
     try:

@@ -40,7 +40,7 @@ class Listed:
 
 
 def runs(journal: Journal, axis: str | None, most: int | None) -> tuple[list[Listed], int]:
-    """The last `most` runs (of `axis`) in the order in which they came, and how many there are before."""
+    """The last `most` runs (of `axis`) in their order, and how many there are before."""
     found = [one for one in journal.runs() if axis is None or one.axis == axis]
     shown = found if most is None else found[-most:]
     return [_listed(journal, one) for one in shown], len(found) - len(shown)

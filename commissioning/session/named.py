@@ -38,7 +38,10 @@ def axis_of_run(record: RunRecord, folder: RunFolder, link: str | None) -> Axis:
 
 
 def own_run(journal: Journal, run: str) -> tuple[str, RunFolder]:
-    """RUN → its id and folder, to be acted on: an exported run is taken in first. Raises Refused."""
+    """RUN → its id and folder, to be acted on: an exported run is taken in first.
+
+    Raises Refused.
+    """
     run_id, folder = resolve(journal, run)
     if folder.exported is None:
         return run_id, folder

@@ -70,8 +70,8 @@ def prune(before: float, desk: Desk, *, dry_run: bool) -> Pruned:
         return found
     day = time.strftime("%Y-%m-%d", time.localtime(before))
     desk.agree(
-        f"The files of {len(runs)} run(s) before {day} ({size / 1e6:.1f} MB: samples, results, reports) "
-        "will be DELETED; what they wrote to their drives stays in the journal.",
+        f"The files of {len(runs)} run(s) before {day} ({size / 1e6:.1f} MB: samples, results, "
+        "reports) will be DELETED; what they wrote to their drives stays in the journal.",
         "delete",
         "nothing was deleted",
     )
@@ -80,8 +80,8 @@ def prune(before: float, desk: Desk, *, dry_run: bool) -> Pruned:
             shutil.rmtree(RunFolder.of(desk.journal, run).path)
         except OSError as error:
             raise JournalError(
-                f"the files of run {run} cannot be deleted: {error.strerror or error}; those of older "
-                "runs are gone"
+                f"the files of run {run} cannot be deleted: {error.strerror or error}; those of "
+                "older runs are gone"
             ) from None
         desk.journal.note(run, "files deleted")
     return found

@@ -1,4 +1,4 @@
-"""A recording of an axis becomes a run with a proposal for its drive, which is read and not written."""
+"""A recording of an axis becomes a run with a proposal for its drive, which is only read."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["for_drive"]
 
 
 def for_drive(result: RunResult, axis: Axis, fraction: float, desk: Desk) -> RunResult:
-    """The result of a recording with what would be written to the drive of `axis`, as a run of the journal.
+    """A recording's result with what would be written to the drive of `axis`, as a run.
 
     Raises UsageError, LinkError, IdentityMismatch, PreflightRefused.
     """

@@ -23,7 +23,9 @@ __all__ = ["leave_as_found", "restore", "to_restore"]
 
 
 def to_restore(run: str | None, desk: Desk) -> str | None:
-    """The run whose changes are to be put back: `run`, else the last that wrote; None: there are none.
+    """The run whose changes are to be put back: `run`, else the last that wrote.
+
+    None: there are none.
 
     Raises Refused, UnknownName.
     """
@@ -59,8 +61,8 @@ def restore(
 ) -> Restored | None:
     """Put back every parameter that the run changed, once that is agreed.
 
-    None: it was a `dry_run`. Stores where the run has stored, and nothing unless everything is back. `show`
-    gets what will be done.
+    None: it was a `dry_run`. Stores where the run has stored, and nothing unless everything is
+    back. `show` gets what will be done.
     """
     folder = RunFolder.of(desk.journal, run_id)
     history = desk.journal.history(run_id)
@@ -109,7 +111,10 @@ def _note_return(
     axis: AxisState,
     error: TwoRelayError | None = None,
 ) -> None:
-    """Write into the run what is in the drive after a restore; one whose file is gone stays without."""
+    """Write into the run what is in the drive after a restore.
+
+    One whose file is gone stays without.
+    """
     with contextlib.suppress(UsageError):
         result = folder.result(before)
         if error is None and any(intent.lasts for intent in before.intents):
@@ -126,13 +131,17 @@ def _check_not_enabled(drive: Drive, desk: Desk, run_id: str) -> None:
     if drive.state().is_energised:
         profile = RunFolder.of(desk.journal, run_id).profile_path()
         raise DriveEnabled(
-            f'the drive is enabled: \'tworelay stop "{drive.link}" --profile "{profile}"\' makes it safe, '
+            f'the drive is enabled: \'tworelay stop "{drive.link}"'
+            f' --profile "{profile}"\' makes it safe, '
             f"then 'tworelay restore {run_id}'"
         )
 
 
 def _put_all_back(drive: Drive, desk: Desk, run_id: str, *, force: bool) -> Restored:
-    """Everything that a run changed in the connected drive; raises WriteFailed, PreflightRefused."""
+    """Everything that a run changed in the connected drive.
+
+    Raises WriteFailed, PreflightRefused.
+    """
     _check_not_enabled(drive, desk, run_id)
     journal = desk.journal
     intents = journal.intents(run_id, open_only=True)
@@ -169,7 +178,10 @@ def _put_all_back(drive: Drive, desk: Desk, run_id: str, *, force: bool) -> Rest
 
 
 def _intended(journal: Journal, run_id: str, lasting: list[Intent]) -> dict[str, int]:
-    """Say of each value for good that is not the old one that it will be written back: a write like any."""
+    """Say of each value for good that is not the old one that it will be written back.
+
+    A write like any.
+    """
     found: dict[str, int] = {}
     for name in dict.fromkeys(intent.parameter for intent in lasting):
         of_it = [intent for intent in lasting if intent.parameter == name]
@@ -190,7 +202,8 @@ class _Incomplete(WriteFailed):
 def leave_as_found(run: str, desk: Desk) -> tuple[str, AxisState | None]:
     """Put back all that `run` changed, after it came to nothing; never raises.
 
-    Returns what it reached, '' where nothing had been changed; and what the drive said of its axis then.
+    Returns what it reached, '' where nothing had been changed; and what the drive said of its axis
+    then.
     """
     intents = desk.journal.intents(run, open_only=True)
     if not intents:

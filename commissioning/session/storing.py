@@ -47,8 +47,9 @@ def store(
     before, most = desk.journal.stores(run_id), procedure.endurance
     if before >= most:
         raise WriteFailed(
-            f"this drive has stored {before} times from here, and its memory takes about {most}: the values "
-            "are in effect, and not stored; store them with the maker's software if its memory is new",
+            f"this drive has stored {before} times from here, and its memory takes about {most}: "
+            "the values are in effect, and not stored; store them with the maker's software if its "
+            "memory is new",
             code="store.worn",
             value=before,
             limit=most,
@@ -72,6 +73,6 @@ def store(
             )
     what = "the old values are stored" if text == RESTORED else "stored"
     desk.tell(
-        f"{what} in the drive's non-volatile memory, read back again (store {before + 1} of this drive from "
-        f"here; such a memory takes about {most})"
+        f"{what} in the drive's non-volatile memory, read back again (store {before + 1} of this "
+        f"drive from here; such a memory takes about {most})"
     )

@@ -78,8 +78,8 @@ def tune(result: RunResult, axis: Axis, profile: Profile, drive: DriveLoop) -> T
     """
     if result.coulomb is None:
         raise Refused(
-            f"run {result.run} is {result.status}: without a friction that can be trusted no gain is "
-            "proposed; identify the axis again",
+            f"run {result.run} is {result.status}: without a friction that can be trusted no gain "
+            "is proposed; identify the axis again",
             code="run.no-friction",
         )
     try:
@@ -145,7 +145,8 @@ def _known(result: RunResult) -> tuple[AxisKnown, Experiment, Setup]:
     setup = watched.setup if watched else None
     if coulomb is None or watched is None or setup is None or watched.limits is None:
         raise UsageError(
-            f"run {result.run}: lacks what tuning needs (how it was measured); identify the axis again"
+            f"run {result.run}: lacks what tuning needs (how it was measured); identify the axis "
+            "again"
         )
     amplitude = watched.cycles[0].relay_amplitude if watched.cycles else None
     if not amplitude:
@@ -185,8 +186,8 @@ def _point(point: Point | None) -> CriticalPoint | None:
 def _seen(result: RunResult, watched: Experiment) -> float:
     """Frequency up to which the record shows a rigid axis, rad/s.
 
-    A square wave shows it up to its seventh harmonic; where the model leaves something, or the harmonics
-    contradict each other, or neither is known, only at the fundamental.
+    A square wave shows it up to its seventh harmonic; where the model leaves something, or the
+    harmonics contradict each other, or neither is known, only at the fundamental.
     """
     fundamental = 2 * pi / watched.cycles[0].period
     fit, exact = result.methods.modulating, result.methods.lock_in
@@ -200,7 +201,10 @@ def _seen(result: RunResult, watched: Experiment) -> float:
 
 
 def _own_loop(profile: Profile, drive: DriveLoop, lag: float) -> tuple[float, float] | None:
-    """Dead time and period of the drive's own loops, s; `lag`: what the drive itself says of its torque."""
+    """Dead time and period of the drive's own loops, s.
+
+    `lag`: what the drive itself says of its torque.
+    """
     loops = profile.loops
     dead_time = drive.dead_time
     if dead_time is None:
@@ -210,14 +214,17 @@ def _own_loop(profile: Profile, drive: DriveLoop, lag: float) -> tuple[float, fl
     period = drive.period or (loops.period if loops else _DEFAULT_PERIOD)
     if dead_time > _MOST_PERIODS * period:
         raise UsageError(
-            f"a dead time of {dead_time:g} s is {dead_time / period:.0f} periods of the drive's loops of "
-            f"{period:g} s: at most {_MOST_PERIODS} make a loop; are both in seconds?"
+            f"a dead time of {dead_time:g} s is {dead_time / period:.0f} periods of the drive's "
+            f"loops of {period:g} s: at most {_MOST_PERIODS} make a loop; are both in seconds?"
         )
     return dead_time, period
 
 
 def _mapped(loops: LoopGains | None, gains: Gains | None) -> dict[str, tuple[str, float]]:
-    """Parameter and SI value of each gain that the drive has: a cascade, and the profile says where."""
+    """Parameter and SI value of each gain that the drive has.
+
+    A cascade, and the profile says where.
+    """
     if loops is None or not isinstance(gains, Cascade) or not gains.position_gain > 0:
         return {}
     return {term: (name, getattr(gains, term)) for term, name in loops.terms.items()}
@@ -237,7 +244,8 @@ def _holder(loops: LoopGains | None, parameters: Parameters) -> Hold:
             if not raw:
                 raise CannotHold(
                     "gains.too-fine",
-                    f"'{name}' would be {value:.3g} {what.unit}, the drive's step is {what.step:.3g}",
+                    f"'{name}' would be {value:.3g} {what.unit}, the drive's step is "
+                    f"{what.step:.3g}",
                 )
             held[term] = what.si(raw)
         return Cascade(**held) if held else gains
@@ -278,7 +286,8 @@ def _set(proposal: Proposal, parameters: tuple[Change, ...], *, best: bool) -> G
         return GainSet(*of_rule, why_not=text, why_not_code=code)
     numbers = {name: _finite(getattr(gains, name)) for name in gains.__slots__}
     return GainSet(
-        *of_rule, numbers, worth.phase, worth.gain_db, worth.sensitivity, worth.stable, worth.crossover,
+        *of_rule, numbers, worth.phase, worth.gain_db, worth.sensitivity, worth.stable,
+        worth.crossover,
         worth.bandwidth, response, proposal.proposed, best, text, code, parameters,
     )  # fmt: skip
 

@@ -1,4 +1,7 @@
-"""Prove that the compensation helps, where it acts: in position mode, before and after, step by step."""
+"""Prove that the compensation helps, where it acts.
+
+In position mode, before and after, step by step.
+"""
 
 from __future__ import annotations
 
@@ -73,15 +76,16 @@ def verify(
 ) -> RunResult:
     """Measure without and with the compensation of `run` and leave the best in the drive.
 
-    `unproved`: what is in the drive was written for this proof only, and whoever did so takes it back should
-    this fail. Returns the result.
+    `unproved`: what is in the drive was written for this proof only, and whoever did so takes it
+    back should this fail. Returns the result.
 
     Raises
     ------
     DoesNotHelp
         No step helps; the values from before the run are in the drive, and in its memory.
     TwoRelayError
-        Anything else; the drive has the values that it had when this began, or the message says what it has.
+        Anything else; the drive has the values that it had when this began, or the message says
+        what it has.
     """
     run_id, folder = own_run(desk.journal, run)
     history = desk.journal.history(run_id)
@@ -158,12 +162,13 @@ def _proved(result: RunResult, drive: Drive, steps: list[_Step], kept: _Step | N
 def _no_help(result: RunResult, steps: list[_Step]) -> DoesNotHelp:
     before, last, unit = steps[0].error, steps[-1].error, result.units.position
     return DoesNotHelp(
-        f"the compensation does not help: error after reversals {before.reversal:.3g} {unit} without, "
-        f"{last.reversal:.3g} {unit} with {100 * steps[-1].fraction:g} % of the friction compensated"
+        f"the compensation does not help: error after reversals {before.reversal:.3g} {unit} "
+        f"without, {last.reversal:.3g} {unit} with {100 * steps[-1].fraction:g} % of the friction "
+        "compensated"
         + (", and the axis hunts" if last.hunts else "")
         + (
-            ". The error grows with it: is the compensation's sign right in the profile (negative_sign), "
-            "and the drive's polarity?"
+            ". The error grows with it: is the compensation's sign right in the profile "
+            "(negative_sign), and the drive's polarity?"
             if last.reversal > _WORSE * before.reversal
             else ""
         )
@@ -186,7 +191,10 @@ def _check(result: RunResult, run_id: str) -> None:
 
 
 def _options(result: RunResult, wishes: Wishes, *, adopted: bool) -> Options:
-    """Those of the run, unless they are given anew; of an adopted run nobody here has agreed to any."""
+    """Those of the run, unless they are given anew.
+
+    Of an adopted run nobody here has agreed to any.
+    """
     was = None if adopted else result.experiment
     limits = was.limits if was else None
     return Options(
@@ -203,13 +211,15 @@ def provable(profile: Profile) -> None:
     if Mode.POSITION not in profile.compensation.acts_in or Mode.POSITION not in profile.modes:
         raise PreflightRefused(
             f"profile '{profile.name}' has no position mode in which its compensation acts, so it "
-            "cannot be seen at work here: watch the following error in the machine's own controller",
+            "cannot be seen at work here: watch the following error in the machine's own "
+            "controller",
             code="verify.no-position-mode",
         )
     if profile.compensation.acts_stored:
         raise PreflightRefused(
-            f"the compensation of profile '{profile.name}' acts only once it is stored, so it cannot be "
-            "tried step by step: watch the following error in the machine's own controller",
+            f"the compensation of profile '{profile.name}' acts only once it is stored, so it "
+            "cannot be tried step by step: watch the following error in the machine's own "
+            "controller",
             code="verify.acts-stored",
         )
 
@@ -226,9 +236,9 @@ def _look(drive: Drive, axis: Axis, options: Options, desk: Desk, record: RunRec
     limits = choose_limits(drive, axis, options)
     unit = axis.position_unit
     desk.agree(
-        f"Axis '{axis.name}' will MOVE in position mode, slowly, up to {limits.travel:.4g} {unit} to one "
-        "side of its present position, and its compensation will be WRITTEN and stored. tworelay is not a "
-        "safety function: keep people clear and the emergency stop in reach.",
+        f"Axis '{axis.name}' will MOVE in position mode, slowly, up to {limits.travel:.4g} {unit} "
+        "to one side of its present position, and its compensation will be WRITTEN and stored. "
+        "tworelay is not a safety function: keep people clear and the emergency stop in reach.",
         axis.name,
     )
     look(drive, axis)
@@ -265,8 +275,8 @@ def _with_steps(rig: Rig, result: RunResult, *, unproved: bool) -> tuple[list[_S
             _go_back(rig, was, error)
             if journal.memory(run) != had and isinstance(error, TwoRelayError):
                 error.also(
-                    f"the drive's memory may hold what was to stay: 'tworelay restore {run}' puts the old "
-                    "values back"
+                    f"the drive's memory may hold what was to stay: 'tworelay restore {run}' puts "
+                    "the old values back"
                 )
         raise
     return steps, kept
@@ -300,7 +310,10 @@ def _write(rig: Rig, raw: Raw) -> None:
 
 
 def _before(rig: Rig, names: list[str], was: Raw) -> Raw:
-    """The values from before the run: the oldest that it has written over, else those that stood there."""
+    """The values from before the run.
+
+    The oldest that it has written over, else those that stood there.
+    """
     oldest: Raw = {}
     for intent in rig.desk.journal.intents(rig.settings.run, open_only=True):
         oldest.setdefault(intent.parameter, intent.old)
@@ -352,7 +365,8 @@ def _raise(rig: Rig, result: RunResult) -> tuple[list[_Step], _Step | None]:
 def _words(step: _Step, unit: str) -> str:
     error = step.error
     return (
-        f"  reversal error {error.reversal:.3g} {unit}, at low speed {error.low_speed:.3g} {unit} rms, "
+        f"  reversal error {error.reversal:.3g} {unit}, at low speed {error.low_speed:.3g} {unit} "
+        "rms, "
         f"at rest ±{error.rest:.2g} {unit}" + (": it hunts" if error.hunts else "")
     )
 

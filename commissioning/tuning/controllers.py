@@ -28,8 +28,9 @@ def _integral(gains: Gains, cycle: float) -> float:
 def response(gains: Gains, cycle: float, frequency: Array) -> Complex:
     """u/(−y) at ω, rad/s, at a constant reference, (n,) N.m/rad or N/m.
 
-    Integral by backward rectangles; the PID's derivative behind a filter of a tenth of its time, the
-    cascade's velocity as difference of two samples. z − 1 is taken by expm1, so that nothing cancels.
+    Integral by backward rectangles; the PID's derivative behind a filter of a tenth of its time,
+    the cascade's velocity as difference of two samples. z − 1 is taken by expm1, so that nothing
+    cancels.
     """
     angle = 1j * np.asarray(frequency, np.float64) * cycle
     z, near = np.exp(angle), np.expm1(angle)
@@ -48,8 +49,8 @@ def law(
 ) -> ControlLaw:
     """The controller as a function that is called once a cycle, at rest at `position`.
 
-    An integral part begins with the torque `holding`, N.m or N, that holds the axis there. The torque
-    stays within ±`limit`, and the integral part does not wind up beyond that.
+    An integral part begins with the torque `holding`, N.m or N, that holds the axis there. The
+    torque stays within ±`limit`, and the integral part does not wind up beyond that.
     """
     share = _integral(gains, cycle)
     proportional = gains.velocity_gain if isinstance(gains, Cascade) else gains.gain

@@ -1,4 +1,7 @@
-"""How robust a loop is: margins, maximum sensitivity, bandwidth, stability; of the sampled loop, exactly."""
+"""How robust a loop is: margins, maximum sensitivity, bandwidth, stability.
+
+Of the sampled loop, exactly.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,8 @@ class Margins:
     ----------
     stable : all poles of the closed loop lie inside the unit circle
     phase : degrees, the smallest at any crossover of |L| = 1; negative where the loop is unstable
-    gain_db : by how much the gain may rise until the loop is unstable, dB; None: as much as one likes
+    gain_db : by how much the gain may rise until the loop is unstable, dB; None: as much as one
+        likes
     sensitivity : Ms = max |1/(1 + L)|
     crossover : rad/s, of the smallest phase margin; None: |L| never passes 1
     bandwidth : rad/s, up to which |L/(1 + L)| stays above −3 dB; None where it never does
@@ -98,7 +102,10 @@ def _lowest(plant: LoopPlant, gains: Gains) -> float:
 
 
 def _integrators(plant: LoopPlant, gains: Gains) -> int:
-    """Poles of the open loop at z = 1, that of a position which a velocity loop leaves open not counted."""
+    """Poles of the open loop at z = 1.
+
+    That of a position which a velocity loop leaves open is not counted.
+    """
     slowest = _SLOWEST / plant.cycle
     count = 1 if plant.viscous / plant.inertia > slowest else 2
     count += isfinite(gains.integral_time) and 1 / gains.integral_time > slowest
@@ -108,9 +115,10 @@ def _integrators(plant: LoopPlant, gains: Gains) -> int:
 def _is_stable(loop: Complex, integrators: int) -> bool:
     """Nyquist's criterion on the upper half of the unit circle.
 
-    1 + L is the closed loop's polynomial over the open one's. Along the half circle a pole inside turns by
-    π, one at z = 1 by π/2, one outside not at all; the open loop has `integrators` at z = 1 and none
-    outside. So a stable loop turns 1 + L by π/2 an integrator, and each pole outside takes π off.
+    1 + L is the closed loop's polynomial over the open one's. Along the half circle a pole inside
+    turns by π, one at z = 1 by π/2, one outside not at all; the open loop has `integrators` at z =
+    1 and none outside. So a stable loop turns 1 + L by π/2 an integrator, and each pole outside
+    takes π off.
     """
     turn = np.unwrap(np.angle(1 + loop))
     missing = integrators * pi / 2 - float(turn[-1] - turn[0])
@@ -125,7 +133,7 @@ def _crossings(values: Array, w: Array) -> Array:
 
 
 def _gain_margin(size: Array, angle: Array) -> float | None:
-    """Smallest rise of the gain, dB, that brings |L| to 1 where the phase is an odd multiple of 180°."""
+    """Smallest rise of the gain, dB, to |L| = 1 where the phase is an odd multiple of 180°."""
     turns = np.floor((angle + pi) / (2 * pi))
     found = []
     for k in np.flatnonzero(np.diff(turns)):

@@ -1,4 +1,7 @@
-"""The axis as a sampled loop sees it: rigid, behind a hold and a dead time. Exact at the samples."""
+"""The axis as a sampled loop sees it: rigid, behind a hold and a dead time.
+
+Exact at the samples.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,10 @@ class LoopPlant:
 
     @property
     def delay(self) -> float:
-        """Dead time and the half cycle of the hold, s: what a rule for a continuous loop has to know."""
+        """Dead time and the half cycle of the hold, s.
+
+        What a rule for a continuous loop has to know.
+        """
         return self.dead_time + self.cycle / 2
 
     @property
@@ -60,8 +66,9 @@ class LoopPlant:
     def response(self, frequency: Array) -> Complex:
         """y/u at ω up to the Nyquist frequency, rad/s, (n,) rad/(N.m) or m/N.
 
-        Zero-order hold and dead time exactly (Åström and Wittenmark, Computer-Controlled Systems, 2.3):
-        y/u = C·(zI − Φ)⁻¹·(Γ0·z + Γ1)·z⁻ⁿ. z − 1 is taken by expm1, so that nothing cancels near z = 1.
+        Zero-order hold and dead time exactly (Åström and Wittenmark, Computer-Controlled Systems,
+        2.3): y/u = C·(zI − Φ)⁻¹·(Γ0·z + Γ1)·z⁻ⁿ. z − 1 is taken by expm1, so that nothing cancels
+        near z = 1.
         """
         angle = 1j * np.asarray(frequency, np.float64) * self.cycle
         z, near = np.exp(angle), np.expm1(angle)

@@ -1,4 +1,4 @@
-"""Every rule, from the distorted point and from the right one, and what each set of gains is worth."""
+"""Every rule, from the distorted point and from the right one, and what its gains are worth."""
 
 from __future__ import annotations
 
@@ -71,7 +71,8 @@ class AxisKnown:
     viscous : N.m.s/rad or N.s/m; None: not identified
     dead_time : of the plant between torque in force and position, s
     friction_share : f/d of the relay test, d half of the relay's swing
-    naive, corrected : the relay's own point as an autotuner reads it, and the plant there; None: unknown
+    naive, corrected : the relay's own point as an autotuner reads it, and the plant there; None:
+        unknown
     measured : the plant where an oscillation was held at −180° or −135°, by that phase
     friction : for the step
     travel : rad or m, on either side
@@ -207,7 +208,10 @@ class _Points:
         return seen.gain / model.gain, (seen.phase_deg - model.phase_deg + 180) % 360 - 180
 
     def _autotuned(self, hysteresis_deg: float) -> CriticalPoint:
-        """What a relay autotuner with this hysteresis concludes: in the test that was run, or by −1/N."""
+        """What a relay autotuner with this hysteresis concludes.
+
+        In the test that was run, or by −1/N.
+        """
         if self.loop == "host" and not hysteresis_deg:
             if self.known.naive is None:
                 raise _NotHere("no relay test was read")
@@ -222,7 +226,8 @@ class _Points:
         cycle = self.plant.cycle
         if point.period < FEWEST_CYCLES * cycle:
             raise _NotHere(
-                f"its point at {point.period * 1000:.3g} ms is beyond a cycle of {cycle * 1000:g} ms"
+                f"its point at {point.period * 1000:.3g} ms is beyond a cycle of {cycle * 1000:g} "
+                "ms"
             )
         return point
 
@@ -349,8 +354,8 @@ def _why_not(worth: Margins, moved: StepCourse | None, known: AxisKnown) -> NotP
             moved is not None and moved.overshoot > _OVERSHOOT,
             NotProposed(
                 "gains.overshoots",
-                f"it overshoots by more than {100 * _OVERSHOOT:.0f} % with this friction and torque "
-                "limit",
+                f"it overshoots by more than {100 * _OVERSHOOT:.0f} % with this friction and "
+                "torque limit",
             ),
         ),
         (

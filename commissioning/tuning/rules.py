@@ -1,8 +1,8 @@
 """Tuning rules: a point of the plant or its parameters in, gains out. One pure function a rule.
 
 A point is G(jω) of the loop's plant, torque to position, with the loop's own hold and dead time:
-gain in rad/(N.m) or m/N, phase in degrees, ω in rad/s. No rule knows whether its loop will be any good:
-that is for `margins`.
+gain in rad/(N.m) or m/N, phase in degrees, ω in rad/s. No rule knows whether its loop will be any
+good: that is for `margins`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Pid:
-    """PID of the position: u = K·(e + ∫e/Ti − Td·ẏ), the derivative of the position and not of the error.
+    """PID of the position.
+
+    U = K·(e + ∫e/Ti − Td·ẏ), the derivative of the position and not of the error.
 
     Attributes
     ----------
@@ -43,7 +45,9 @@ class Pid:
 
 @dataclass(frozen=True, slots=True)
 class Cascade:
-    """P of the position over PI of the velocity, as drives have it: u = Kv·(e + ∫e/Ti), e = Kp·(r − y) − ẏ.
+    """P of the position over PI of the velocity, as drives have it.
+
+    U = Kv·(e + ∫e/Ti), e = Kp·(r − y) − ẏ.
 
     Attributes
     ----------
@@ -58,10 +62,12 @@ class Cascade:
 
 
 def ziegler_nichols_pi(ku: float, tu: float) -> Pid:
-    """PI 0.45·Ku, Tu/1.2 (Ziegler and Nichols 1942), from the point at −180°: Ku = 1/|G|, Tu = 2π/ω.
+    """PI 0.45·Ku, Tu/1.2 (Ziegler and Nichols 1942), from the point at −180°.
 
-    Made for a quarter-decay of disturbances in processes; an axis, which is nearly two integrators, is
-    usually unstable with it.
+    Ku = 1/|G|, Tu = 2π/ω.
+
+    Made for a quarter-decay of disturbances in processes; an axis, which is nearly two integrators,
+    is usually unstable with it.
     """
     return Pid(0.45 * ku, tu / 1.2)
 
@@ -72,7 +78,10 @@ def ziegler_nichols_pid(ku: float, tu: float) -> Pid:
 
 
 def tyreus_luyben_pi(ku: float, tu: float) -> Pid:
-    """PI Ku/3.2, 2.2·Tu (Tyreus and Luyben 1992), from the point at −180°; for lags and an integrator."""
+    """PI Ku/3.2, 2.2·Tu (Tyreus and Luyben 1992), from the point at −180°.
+
+    For lags and an integrator.
+    """
     return Pid(ku / 3.2, 2.2 * tu)
 
 
@@ -88,13 +97,15 @@ def astrom_hagglund(
 
         K = cos(φb − φa)/ra,   ω·Td − 1/(ω·Ti) = tan(φb − φa),   G = ra·e^(j(−π + φa)),  φb = margin
 
-    The loop's crossover lies at the point's own frequency, so the margin is met exactly there. Raises
-    ValueError where the controller would have to lead by 75° or more, or to lag by more than 60°.
+    The loop's crossover lies at the point's own frequency, so the margin is met exactly there.
+    Raises ValueError where the controller would have to lead by 75° or more, or to lag by more than
+    60°.
     """
     lead = margin_deg - (phase_deg + 180)
     if not -60 < lead < 75:
         raise ValueError(
-            f"the point at {phase_deg:.0f}° would have to be turned by {lead:.0f}°, more than a PID does"
+            f"the point at {phase_deg:.0f}° would have to be turned by {lead:.0f}°, more than a "
+            "PID does"
         )
     slope = tan(radians(lead))
     derivative = (slope + sqrt(slope**2 + 4 / ratio)) / (2 * frequency)
@@ -102,15 +113,18 @@ def astrom_hagglund(
 
 
 def landau_voda_pid(gain: float, frequency: float, beta: float = 1.0) -> Pid:
-    """PID of Kessler, Landau and Voda (1992; here after secondary sources), from the point at −135°.
+    """PID of Kessler, Landau and Voda (1992.
 
-    K = (4+β)/(8√2·g), Ti = (4+β)/(β·ω), Td = 4/((4+β)·ω), β in 1…2. For plants that go on falling after
-    −135° as one lag does.
+    Here after secondary sources), from the point at −135°.
+
+    K = (4+β)/(8√2·g), Ti = (4+β)/(β·ω), Td = 4/((4+β)·ω), β in 1…2. For plants that go on falling
+    after −135° as one lag does.
     """
     if not 1 <= beta <= 2:
         raise ValueError(f"beta is {beta:g}: must be 1…2")
     return Pid(
-        (4 + beta) / (8 * sqrt(2) * gain), (4 + beta) / (beta * frequency), 4 / ((4 + beta) * frequency)
+        (4 + beta) / (8 * sqrt(2) * gain), (4 + beta) / (beta * frequency),
+        4 / ((4 + beta) * frequency)
     )  # fmt: skip
 
 
@@ -125,8 +139,8 @@ def landau_voda_pi(gain: float, frequency: float) -> Pid:
 def symmetrical_optimum(inertia: float, delay: float) -> Cascade:
     """PI of the velocity by the symmetrical optimum (Kessler 1958): Kv = J/(2T), Ti = 4T.
 
-    From the plant 1/(J·s) with the sum T of the loop's small delays, s. 36.9° with a lag T, 34.8° with a
-    dead time T. The velocity loop alone.
+    From the plant 1/(J·s) with the sum T of the loop's small delays, s. 36.9° with a lag T, 34.8°
+    with a dead time T. The velocity loop alone.
     """
     return Cascade(inertia / (2 * delay), 4 * delay)
 
@@ -134,14 +148,17 @@ def symmetrical_optimum(inertia: float, delay: float) -> Cascade:
 def cascade(
     inertia: float, viscous: float, delay: float, fastest: float = inf, ratio: float = 4.0
 ) -> Cascade:
-    """Velocity PI and position P, damped: Kv = J/(a·T), Ti = min(a²·T, J/B), Kp = 1/(5·a·T), a = `ratio`.
+    """Velocity PI and position P, damped.
+
+    Kv = J/(a·T), Ti = min(a²·T, J/B), Kp = 1/(5·a·T), a = `ratio`.
 
     T is the sum of the loop's small delays, s, or more where the crossover 1/(a·T) is to stay below
     `fastest`, rad/s.
 
-    The extended symmetrical optimum (Preitl and Precup 1999) with a = 4 in place of 2; where the axis'
-    own time constant J/B is shorter than a²·T, the integral part cancels it (modulus optimum). The
-    position gain is a fifth of the velocity loop's crossover. 50° and more at the plant's input.
+    The extended symmetrical optimum (Preitl and Precup 1999) with a = 4 in place of 2; where the
+    axis' own time constant J/B is shorter than a²·T, the integral part cancels it (modulus
+    optimum). The position gain is a fifth of the velocity loop's crossover. 50° and more at the
+    plant's input.
     """
     delay = max(delay, 1 / (ratio * fastest))
     integral = ratio**2 * delay

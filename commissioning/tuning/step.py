@@ -1,6 +1,7 @@
 """A step of the loop on a virtual axis with the friction that was found: what margins do not show.
 
-The axis is the virtual drive's own, in closed form; the position is rounded to the encoder's resolution.
+The axis is the virtual drive's own, in closed form; the position is rounded to the encoder's
+resolution.
 """
 
 from __future__ import annotations

@@ -52,8 +52,8 @@ def open_bus(interface: str, channel: str, bitrate: int, timeout: float) -> can.
         ) from None
     except Exception as error:
         raise LinkError(
-            f"cannot open CAN channel '{channel}' on '{interface}': {first_line(error)}; is the adapter "
-            "plugged in, and free?",
+            f"cannot open CAN channel '{channel}' on '{interface}': {first_line(error)}; is the "
+            "adapter plugged in, and free?",
             code="link.adapter",
         ) from None
     if interface == "socketcand":
@@ -62,7 +62,7 @@ def open_bus(interface: str, channel: str, bitrate: int, timeout: float) -> can.
 
 
 class Socketcand(SocketCanDaemonBus):
-    """python-can's client, which takes a frame that comes with the greeting of a busy bus for an error.
+    """python-can's client, which takes a frame within a busy bus' greeting for an error.
 
     Here such a frame is delivered, with the next one.
     """
@@ -136,7 +136,10 @@ def _socketcand_address(channel: str) -> tuple[str, int, str]:
 
 
 def _greet(host: str, port: int, timeout: float) -> None:
-    """See that a socketcand server answers, quickly: the library would wait for 10 s or for ever."""
+    """See that a socketcand server answers, quickly.
+
+    The library would wait for 10 s or for ever.
+    """
     try:
         with socket.create_connection((host, port), timeout) as stream:
             stream.settimeout(timeout)
@@ -158,7 +161,10 @@ def _greet(host: str, port: int, timeout: float) -> None:
 
 
 def first_line(error: Exception) -> str:
-    """Libraries put tracebacks into their messages; people get the first line, and the system's reason."""
+    """Libraries put tracebacks into their messages.
+
+    People get the first line, and the system's reason.
+    """
     lines = str(error).splitlines()
     if not lines:
         return type(error).__name__

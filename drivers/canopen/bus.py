@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import re
 import struct
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -23,7 +22,7 @@ from drivers.canopen.pdo import (
     code_of,
     complete,
     name_of,
-    size_of,
+    objects_of,
 )
 from drivers.canopen.pdo_parameters import PRE_OPERATIONAL, PdoParameters
 from drivers.canopen.sync import check_sync
@@ -41,7 +40,7 @@ from drivers.patience import patiently
 from drivers.serial_port import SerialPort, Stream
 from drivers.stepping import Simulation, set_simulation
 from profiles.address import Address, CanopenAddress
-from profiles.errors import ProfileError, TwoRelayError, UsageError
+from profiles.errors import ProfileError, TwoRelayError
 from profiles.identity import Identity
 from profiles.parameter import Access
 from profiles.schema import Profile
@@ -60,7 +59,6 @@ _STATES = {0x00: "booting", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-ope
 _CONSUMER_BEGINS = 0.005  # s from the first beat to the second, before the node is started again
 _EVENT_DRIVEN = 255
 _EVERY_SYNC = 1
-_OBJECT = re.compile(r"([0-9A-F]{4})h:([0-9A-F]{2})")
 
 
 T = TypeVar("T")
@@ -72,7 +70,10 @@ NAMELESS = Identity(
 
 
 def identify(wire: CanWire, patience: float = 0.0) -> Identity:
-    """Identity object 1018h; a node that is busy is asked for `patience` s, without any it is NAMELESS."""
+    """Identity object 1018h.
+
+    A node that is busy is asked for `patience` s, without any it is NAMELESS.
+    """
     numbers = []
     for sub in (1, 2, 3, 4):
         try:
@@ -171,9 +172,9 @@ class CanopenBus:
         if len(data) != width and self._wire.is_sized:
             if len(data) < min(width // 2, 2) or len(data) not in (1, 2, 4, 8):
                 raise LinkError(
-                    f"{at} has {len(data)} byte{'s' * (len(data) != 1)} in the drive, and {width} in profile "
-                    f"'{self._profile.name}': does its value lie behind sub-index 1? Then it needs a profile "
-                    "of its own ('tworelay profile new')",
+                    f"{at} has {len(data)} byte{'s' * (len(data) != 1)} in the drive, and {width} "
+                    f"in profile '{self._profile.name}': does its value lie behind sub-index 1? "
+                    "Then it needs a profile of its own ('tworelay profile new')",
                     code="link.length",
                 )
             self._widths[at] = width = len(data)
@@ -282,8 +283,8 @@ class CanopenBus:
     def _set_up(self, pdo: Pdo, there: Objects, wanted: Objects) -> None:
         """Map a PDO, as wide as the drive has its objects.
 
-        Where the drive keeps its own mapping, that one serves if it has what is needed. Raises WriteDenied,
-        PreflightRefused, ProfileError.
+        Where the drive keeps its own mapping, that one serves if it has what is needed. Raises
+        WriteDenied, PreflightRefused, ProfileError.
         """
         try:
             self._pdos.map(pdo, wanted)
@@ -326,7 +327,10 @@ class CanopenBus:
         self._wire.nmt(NMT_OPERATIONAL)
 
     def changes(self) -> dict[str, tuple[int, int]]:
-        """PDO parameters and heartbeat time that `start` changes: what is there, and what will be."""
+        """PDO parameters and heartbeat time that `start` changes.
+
+        What is there, and what will be.
+        """
         found: dict[str, tuple[int, int]] = {}
         if self._running:
             return found
@@ -344,22 +348,17 @@ class CanopenBus:
     def put_back(self, old: dict[str, int]) -> bool:
         """Write back what `changes` named; the cycle ends with it. False: all was as before."""
         ours = {pdo.communication for pdo in (self._rpdo, self._tpdo)}
-        objects: Objects = {}
-        for name, raw in old.items():  # from a journal, which anybody may have written
-            match = _OBJECT.fullmatch(name)
-            at = (int(match[1], 16), int(match[2], 16)) if match is not None else (0, 0)
-            if not (at == HEARTBEAT_PRODUCER or at[0] & ~MAPPING in ours):
-                raise UsageError(f"'{name}' is no parameter of the profile, and none of its PDOs")
-            if not 0 <= raw < 1 << 8 * size_of(at):
-                raise UsageError(f"{name}: {raw} does not fit into {size_of(at)} bytes")
-            objects[at] = raw
+        objects = objects_of(old, ours)
         for communication in {index & ~MAPPING for index, _ in objects} & ours:
             complete(communication, objects)
         self._running = False
         return self._put_back(objects)
 
     def _put_back(self, objects: Objects) -> bool:
-        """Each PDO by itself, then the heartbeat; raises WriteFailed for those that are not back."""
+        """Each PDO by itself, then the heartbeat.
+
+        Raises WriteFailed for those that are not back.
+        """
         changed, failures = False, []
         for communication in (self._rpdo.communication, self._tpdo.communication):
             part = {at: raw for at, raw in objects.items() if at[0] & ~MAPPING == communication}
@@ -414,8 +413,8 @@ class CanopenBus:
             missed, lost = missed + 1, lost + 1
             if silent >= MISSED_CYCLES:
                 raise LinkLost(
-                    f"no SYNC on the bus for {silent} cycles of {self.cycle * 1000:g} ms: its producer has "
-                    "stopped (sync=bus in the link waits for it)",
+                    f"no SYNC on the bus for {silent} cycles of {self.cycle * 1000:g} ms: its "
+                    "producer has stopped (sync=bus in the link waits for it)",
                     code="sync.stopped",
                 )
             if lost >= MISSED_CYCLES:
@@ -426,7 +425,10 @@ class CanopenBus:
                 )
 
     def _beat(self) -> None:
-        """Our sign of life, where the drive watches it and it is due: a heartbeat, or a guard's request."""
+        """Our sign of life, where the drive watches it and it is due.
+
+        A heartbeat, or a guard's request.
+        """
         now = self._pace.now()
         if not self._watched_by or now < self._heartbeat_due:
             return

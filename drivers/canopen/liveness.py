@@ -41,7 +41,8 @@ class Liveness:
         """See that the node tells that it lives: by its heartbeat (1017h), or as it is guarded.
 
         Returns the producer heartbeat time that was there, where that was changed, ms.
-        A node does not do both (CiA 301, 7.2.8.2.2.3). One that tells nothing is known by its TPDO alone.
+        A node does not do both (CiA 301, 7.2.8.2.2.3). One that tells nothing is known by its TPDO
+        alone.
         """
         wire, every = self._wire, self.time()
         old: int | None = None

@@ -1,7 +1,11 @@
-"""Process data objects of a node: what they carry, and how they are set up (CiA 301, 7.5.2.35 to 38)."""
+"""Process data objects of a node.
+
+What they carry, and how they are set up (CiA 301, 7.5.2.35 to 38).
+"""
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable, Mapping
 
@@ -18,11 +22,13 @@ __all__ = [
     "code_of",
     "complete",
     "name_of",
+    "objects_of",
     "size_of",
 ]
 
 OFF = 1 << 31  # of a COB-ID: the PDO does not exist
 MAPPING = 0x200  # from a PDO's communication parameters to its mapping
+_OBJECT = re.compile(r"([0-9A-F]{4})h:([0-9A-F]{2})")
 HEARTBEAT_PRODUCER = 0x1017, 0
 _FLAGS = 3 << 29  # no RTR, 29-bit frame: the drive's own
 _DUMMIES = range(1, 0x20)  # indices of data types: room that nobody uses
@@ -68,7 +74,9 @@ class Pdo:
         self.lay_out({})
 
     def lay_out(self, widths: Mapping[CanopenAddress, int]) -> None:
-        """What it carries, in the profile's order; `widths`: bytes of objects, where the drive has others.
+        """What it carries, in the profile's order.
+
+        `widths`: bytes of objects, where the drive has others.
 
         Raises ProfileError where that is too much.
         """
@@ -80,8 +88,8 @@ class Pdo:
                 for at, code in zip(self.mapped, codes, strict=True)
             )
             raise ProfileError(
-                f"[cycle] takes {layout.size} bytes as the drive has them ({names}), and a PDO has {_BYTES}: "
-                "leave one out in a profile of your own"
+                f"[cycle] takes {layout.size} bytes as the drive has them ({names}), and a PDO has "
+                f"{_BYTES}: leave one out in a profile of your own"
             )
         self.entries = [
             at.index << 16 | at.sub << 8 | 8 * struct.calcsize(code)
@@ -115,7 +123,8 @@ class Pdo:
     def adopt(self, there: Objects, value: Callable[[int, int], int] | None) -> None:
         """Carry what the mapping that is there carries, in its order.
 
-        `value` gives the raw value of an object that is not ours: it is sent as it is; None: nothing is sent.
+        `value` gives the raw value of an object that is not ours: it is sent as it is; None:
+        nothing is sent.
         """
         places = {at.index << 8 | at.sub: n for n, at in enumerate(self.mapped)}
         codes, order = "<", list[int]()
@@ -193,3 +202,20 @@ def complete(communication: int, objects: Objects) -> None:
 def name_of(at: tuple[int, int]) -> str:
     """An object as people write it."""
     return f"{at[0]:04X}h:{at[1]:02X}"
+
+
+def objects_of(old: Mapping[str, int], ours: set[int]) -> Objects:
+    """Values by (index, sub) of objects that a journal names, which anybody may have written.
+
+    `ours` : communication parameters of the PDOs that may be among them. Raises UsageError.
+    """
+    found: Objects = {}
+    for name, raw in old.items():
+        match = _OBJECT.fullmatch(name)
+        at = (int(match[1], 16), int(match[2], 16)) if match is not None else (0, 0)
+        if not (at == HEARTBEAT_PRODUCER or at[0] & ~MAPPING in ours):
+            raise UsageError(f"'{name}' is no parameter of the profile, and none of its PDOs")
+        if not 0 <= raw < 1 << 8 * size_of(at):
+            raise UsageError(f"{name}: {raw} does not fit into {size_of(at)} bytes")
+        found[at] = raw
+    return found

@@ -1,4 +1,7 @@
-"""PDO parameters in a node: read, written by the rules (CiA 301, 7.5.2.35 to 38), put back as they were."""
+"""PDO parameters in a node.
+
+Read, written by the rules (CiA 301, 7.5.2.35 to 38), put back as they were.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,10 @@ class PdoParameters:
         self._check_mapping(pdo)
 
     def keep_its_mapping(self, pdo: Pdo, there: Objects, denied: WriteDenied) -> None:
-        """Make do with the mapping that the drive has; raises PreflightRefused, saying what it lacks."""
+        """Make do with the mapping that the drive has.
+
+        Raises PreflightRefused, saying what it lacks.
+        """
         communication = pdo.communication
         for objects in ({**there, (communication, 2): pdo.transmission}, there):
             with contextlib.suppress(AccessDenied):
@@ -60,9 +66,9 @@ class PdoParameters:
             wrong.append(f"its transmission type is {kept[communication, 2]}, and not 1")
         if wrong:
             raise PreflightRefused(
-                f"PDO {communication:04X}h, {pdo.mapping:04X}h cannot be set up ({denied}), and as it is "
-                f"{' and '.join(wrong)}: map it with the drive's own software, or write a profile whose "
-                "[cycle] says rpdo, tpdo, out and in as the drive has them",
+                f"PDO {communication:04X}h, {pdo.mapping:04X}h cannot be set up ({denied}), and as "
+                f"it is {' and '.join(wrong)}: map it with the drive's own software, or write a "
+                "profile whose [cycle] says rpdo, tpdo, out and in as the drive has them",
                 code="pdo.refused",
             ) from None
         pdo.adopt(kept, self._uploaded if pdo.is_ours else None)
@@ -98,7 +104,7 @@ class PdoParameters:
         return there
 
     def beyond(self, pdo: Pdo, there: Objects) -> Objects:
-        """Entries of a mapping that do not count, as far as ours will lie there and they can be read."""
+        """Entries of a mapping that do not count, where ours will lie and they can be read."""
         mapping, found = pdo.communication + MAPPING, Objects()
         for sub in range(there[mapping, 0] + 1, len(pdo.entries) + 1):
             with contextlib.suppress(AccessDenied):
@@ -130,8 +136,8 @@ class PdoParameters:
     ) -> None:
         """Write the parameters of one PDO in the order of CiA 301, 7.5.2.36: off, entries, on.
 
-        Entries that lie there as they shall are not written: some drives refuse that. Of `unused` ones, which
-        do not count, what the drive does not take stays: it has no effect.
+        Entries that lie there as they shall are not written: some drives refuse that. Of `unused`
+        ones, which do not count, what the drive does not take stays: it has no effect.
         """
         mapping = communication + MAPPING
         number = objects[communication, 1]

@@ -49,7 +49,10 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """What was heard: frames, error frames, what these say, and the nodes whose heartbeat it was."""
+    """What was heard.
+
+    Frames, error frames, what these say, and the nodes whose heartbeat it was.
+    """
 
     frames: int
     errors: int
@@ -76,7 +79,9 @@ def survey(bus: Any, timeout: float) -> list[Node]:
 
 
 def ask(bus: Any, number: int, timeout: float, patience: float) -> Node:
-    """One node, as a job asks it: `timeout` s for each answer, `patience` s while it boots, or is busy.
+    """One node, as a job asks it.
+
+    `timeout` s for each answer, `patience` s while it boots, or is busy.
 
     Raises LinkError.
     """

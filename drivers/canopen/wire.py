@@ -145,7 +145,10 @@ class CanWire:
         )
 
     def speak_through(self, stream: Stream | None) -> None:
-        """Give the serial port back and speak through `stream` from now on; the channel stays open."""
+        """Give the serial port back and speak through `stream` from now on.
+
+        The channel stays open.
+        """
         assert isinstance(self._bus, Slcan)
         self._bus.serialPortOrig.close()
         if stream is not None:
@@ -172,7 +175,10 @@ class CanWire:
         return not isinstance(self._bus, Socketcand)
 
     def guard(self) -> None:
-        """Ask the node for its state by a remote frame, as a master that guards it; raises LinkLost."""
+        """Ask the node for its state by a remote frame, as a master that guards it.
+
+        Raises LinkLost.
+        """
         cob_id = HEARTBEAT + self.node
         self.guarded_at = self.guarded_at or time.perf_counter()
         self._transmit(
@@ -285,7 +291,10 @@ class CanWire:
             return self._whole(stream)
 
     def has(self, index: int, sub: int, patience: float) -> bool:
-        """Whether the node has an object; one that is busy is asked for `patience` s. Raises NoAnswer."""
+        """Whether the node has an object; one that is busy is asked for `patience` s.
+
+        Raises NoAnswer.
+        """
         try:
             patiently(lambda: self.upload(index, sub), patience, self.let_pass)
         except AccessDenied as error:
@@ -293,7 +302,10 @@ class CanWire:
         return True
 
     def upload_large(self, index: int, sub: int) -> bytes:
-        """Read an object of many bytes, by block transfer where the node knows it; raises as `upload`."""
+        """Read an object of many bytes, by block transfer where the node knows it.
+
+        Raises as `upload`.
+        """
         try:
             with (
                 self._translated(index, sub),
@@ -313,7 +325,8 @@ class CanWire:
             found += part
             if len(found) > _LARGEST_OBJECT:
                 raise LinkError(
-                    f"node {self.node} sends more than {_LARGEST_OBJECT} bytes of one object: no drive does",
+                    f"node {self.node} sends more than {_LARGEST_OBJECT} bytes of one object: no "
+                    "drive does",
                     code="link.too-long",
                 )
         return found
@@ -329,7 +342,10 @@ class CanWire:
         self._posted += 1
 
     def serial_line(self, index: int, sub: int, data: bytes) -> bytes:
-        """An expedited download for a serial adapter (slcan): a line begun ends, the channel is opened."""
+        """An expedited download for a serial adapter (slcan).
+
+        A line begun ends, the channel is opened.
+        """
         frame = _expedited(index, sub, data)
         return f"\rO\rt{0x600 + self.node:03X}8{frame.hex().upper()}\r".encode("ascii")
 

@@ -69,7 +69,8 @@ def silence_text(where: str, unit: int, incoming: Incoming, patience: float) -> 
     if incoming.is_echo_alone():
         return (
             f"{where} does not answer {within}: all that comes is what was sent, from an adapter "
-            "that hears itself; is the drive on, A and B not swapped, baud rate, parity and unit right?"
+            "that hears itself; is the drive on, A and B not swapped, baud rate, parity and unit "
+            "right?"
         )
     if patience < _SHORT:
         return (

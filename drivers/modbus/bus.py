@@ -32,9 +32,12 @@ MISSED_CYCLES = 3  # consecutive cycles without a sample are a lost link (safety
 
 
 def identify(client: Client, patience: float = LinkDefaults().patience) -> Identity:
-    """Vendor, product and revision by FC 43/14; a drive without it, or silent on it, has empty ones.
+    """Vendor, product and revision by FC 43/14.
 
-    `patience` : s for a drive that is busy; with none, it is one without it. Raises NoAnswer where the drive
+    A drive without it, or silent on it, has empty ones.
+
+    `patience` : s for a drive that is busy; with none, it is one without it. Raises NoAnswer where
+        the drive
     answers nothing else, either.
     """
     try:
@@ -62,7 +65,10 @@ def answers(client: Client) -> Identity:
 
 
 def _asked_once_more(client: Client) -> dict[int, str]:
-    """What a drive says of itself that answers, and has not answered this: it may have booted meanwhile."""
+    """What a drive says of itself that answers, and has not answered this.
+
+    It may have booted meanwhile.
+    """
     try:
         return client.identification()
     except (AccessDenied, NoAnswer):
@@ -145,7 +151,10 @@ class ModbusBus:
         return decode(at, words)
 
     def _asked_twice(self, at: ModbusAddress) -> list[int]:
-        """Words of a register; an answer may be lost on its way, and a read asked again does no harm."""
+        """Words of a register.
+
+        An answer may be lost on its way, and a read asked again does no harm.
+        """
         try:
             return self._client.read(at.read_function, at.register_, at.count)
         except NoAnswer:
@@ -167,7 +176,8 @@ class ModbusBus:
     def post(self, address: Address, raw: int) -> None:
         """Send a write; no answer is waited for.
 
-        Bits go into the register as it is now, where it can be read at once, else as it was last seen.
+        Bits go into the register as it is now, where it can be read at once, else as it was last
+        seen.
         """
         at = _modbus(address)
         if at.bits is not None and at.write_function != 22 and not self._client.owes:
@@ -217,7 +227,10 @@ class ModbusBus:
         return {}
 
     def put_back(self, old: dict[str, int]) -> bool:
-        """Nothing but parameters of the profile was changed; raises UsageError for anything else."""
+        """Nothing but parameters of the profile was changed.
+
+        Raises UsageError for anything else.
+        """
         if old:
             raise UsageError(f"no parameter of profile '{self._profile.name}': {', '.join(old)}")
         return False
@@ -259,7 +272,10 @@ class ModbusBus:
             return Exchange(answer, in_force, left, latched, lateness, missed)
 
     def _transact(self, words: list[int]) -> tuple[tuple[int, ...], float]:
-        """One exchange, in as many transactions as it takes; with the middle of the position's, s."""
+        """One exchange, in as many transactions as it takes.
+
+        With the middle of the position's, s.
+        """
         client, out, now = self._client, self._out, self._pace.now
         values: tuple[int, ...] = ()
         timed = self.in_real_time  # else no time passes while an answer is awaited
@@ -313,7 +329,10 @@ class ModbusBus:
 
 
 class _Block:
-    """Parameters that are exchanged as one block of registers; what lies between them is read along."""
+    """Parameters that are exchanged as one block of registers.
+
+    What lies between them is read along.
+    """
 
     def __init__(self, addresses: list[ModbusAddress]) -> None:
         self.start = addresses[0].register_
@@ -355,26 +374,33 @@ def _plain_layout(addresses: list[ModbusAddress]) -> struct.Struct | None:
 
 
 def _written(profile: Profile) -> _Block:
-    """What is written in a cycle: one block without gaps, and one register where that is all FC 6 can."""
+    """What is written in a cycle.
+
+    One block without gaps, and one register where that is all FC 6 can.
+    """
     names = profile.cycle.out
     addresses = [_modbus(profile.parameters[name].address) for name in names]
     for name, before, at in zip(names[1:], addresses, addresses[1:], strict=False):
         follows = before.register_ + before.count
         if at.register_ != follows:
             raise ProfileError(
-                f"profile '{profile.name}': [cycle] '{name}' is at {at}, where register {follows:04X}h "
-                "must follow: a block that is written has no gaps"
+                f"profile '{profile.name}': [cycle] '{name}' is at {at}, where register "
+                f"{follows:04X}h must follow: a block that is written has no gaps"
             )
     block = _Block(addresses)
     if profile.cycle.function == "fc6+3" and block.count > 1:
         raise ProfileError(
-            f"profile '{profile.name}': [cycle] fc6+3 writes one register, and out has {block.count}"
+            f"profile '{profile.name}': [cycle] fc6+3 writes one register, and out has "
+            f"{block.count}"
         )
     return block
 
 
 def _read_blocks(profile: Profile) -> list[_Block]:
-    """What is read in a cycle, in the order of `in`: a new block where the next one is too far away."""
+    """What is read in a cycle, in the order of `in`.
+
+    A new block where the next one is too far away.
+    """
     blocks: list[list[ModbusAddress]] = []
     for name in profile.cycle.in_:
         at = _modbus(profile.parameters[name].address)

@@ -57,12 +57,13 @@ class Client:
     unit : address of the drive on that wire
     timeout : s, for connecting and for requests outside the cycle
     trace : called with (sending, bytes) for every packet, once
-    longest_answer : s; on a line, whose answers do not say what they answer, nothing is sent after a missed
-        one until it has come late, or so long has passed
+    longest_answer : s; on a line, whose answers do not say what they answer, nothing is sent after
+        a missed one until it has come late, or so long has passed
 
     Attributes
     ----------
-    quiet_time : s for which a line is listened to before a request outside the cycle: nothing may come
+    quiet_time : s for which a line is listened to before a request outside the cycle: nothing may
+        come
 
     Raises
     ------
@@ -100,7 +101,8 @@ class Client:
         """Talk to another unit on the same connection from now on."""
         self.where = f"{self._wire} unit {unit}"
         self._unit = unit
-        # whose answer may still come, after all; function and register of a read that it has answered
+        # whose answer may still come, after all; function and register of a read that it has
+        # answered
         self._missed: Kind | None = None
         self._readable: tuple[int, int] | None = None
 
@@ -185,8 +187,8 @@ class Client:
             if self._is_line:
                 raise self._of_before(kind)
             raise LinkError(
-                f"{self.where} answers a write of register {arguments.get('address', 0):04X}h with something "
-                "else: that is no answer to it; is this drive's profile right?",
+                f"{self.where} answers a write of register {arguments.get('address', 0):04X}h with "
+                "something else: that is no answer to it; is this drive's profile right?",
                 code="link.answer",
             )
         if answer.isError():
@@ -198,7 +200,8 @@ class Client:
             )
         return answer
 
-    # -- a line, whose answers do not say what they answer ---------------------------------------------
+    # -- a line, whose answers do not say what they answer
+    # ---------------------------------------------
 
     def _owe(self, kind: Kind) -> None:
         """An answer did not come: it may come late."""
@@ -213,10 +216,12 @@ class Client:
         return NoAnswer(f"{self.where} answered to an earlier request, late")
 
     def _settle(self, kind: Kind, patience: float, *, in_cycle: bool) -> None:
-        """Let what is owed come in, for `patience` s at most; raises NoAnswer where it does not, LinkLost.
+        """Let what is owed come in, for `patience` s at most.
 
-        In the cycle one that had to wait is missed. Where the late answer never came, the next request is
-        one whose answer cannot be taken for it.
+        Raises NoAnswer where it does not, LinkLost.
+
+        In the cycle one that had to wait is missed. Where the late answer never came, the next
+        request is one whose answer cannot be taken for it.
         """
         begun = now = perf_counter()
         until = self._owed_until
@@ -232,16 +237,16 @@ class Client:
             return
         if self._owed and now < self._owed_until:
             raise NoAnswer(
-                f"{self.where} still owes an answer: nothing is sent until it has come, or {self._longest:g} "
-                "s have passed ([link] longest_answer in the profile: no longer than answers may be late); a "
-                f"--watchdog of {_TIMES * self._longest:.2g} bears it"
+                f"{self.where} still owes an answer: nothing is sent until it has come, or "
+                f"{self._longest:g} s have passed ([link] longest_answer in the profile: no longer "
+                f"than answers may be late); a --watchdog of {_TIMES * self._longest:.2g} bears it"
             )
         missed = self._missed if self._owed else None
         self._owed, self._late, self._missed = 0, b"", None
         if is_stray and not in_cycle:
             raise LinkError(
-                f"{self.where} sent an answer that nobody waited for: do answers come twice, or does another "
-                "master ask on this line? No value can be relied on: find out first",
+                f"{self.where} sent an answer that nobody waited for: do answers come twice, or "
+                "does another master ask on this line? No value can be relied on: find out first",
                 code="link.answer",
             )
         if in_cycle and (is_stray or now - begun > _NO_TIME):
@@ -371,7 +376,10 @@ class Client:
         return isinstance(self._wire, RtuLine)
 
     def descriptor(self) -> int | None:
-        """Of the port or the connection; None where it cannot be lent (TLS, closed, a port on Windows)."""
+        """Of the port or the connection.
+
+        None where it cannot be lent (TLS, closed, a port on Windows).
+        """
         stream = self._client.socket
         if sys.platform == "win32" and self.serial:
             return None
@@ -384,7 +392,10 @@ class Client:
         return self._wire.opened_as(self._timeout) if isinstance(self._wire, RtuLine) else None
 
     def speak_through(self, stream: Stream | None) -> None:
-        """Give the serial port back and speak through `stream` from now on; None: through nothing, yet."""
+        """Give the serial port back and speak through `stream` from now on.
+
+        None: through nothing, yet.
+        """
         self._drop()
         self._client.socket = stream  # type: ignore[assignment]
 

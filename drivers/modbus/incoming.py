@@ -1,4 +1,7 @@
-"""What comes from a unit, cut into answers: other transactions, other units and echoes are left out."""
+"""What comes from a unit, cut into answers.
+
+Other transactions, other units and echoes are left out.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +61,7 @@ class Incoming:
 
 
 class MbapIncoming(Incoming):
-    """Modbus TCP: whole answers to the transaction that was asked last (Messaging on TCP/IP V1.0b, 3.1.3).
+    """Modbus TCP: whole answers to the last transaction (Messaging on TCP/IP V1.0b, 3.1.3).
 
     The unit is not looked at where it says 0 or 255, which is how a device answers that has none.
     """
@@ -106,9 +109,9 @@ class MbapIncoming(Incoming):
 class LineIncoming(Incoming):
     """Modbus RTU, on a serial line or over TCP: whole answers to what was asked.
 
-    A two-wire adapter that hears itself gives back each request before the answer. It is known by the first
-    request that comes back and cannot be an answer; from then on, what equals the request once is its echo.
-    Noise, other units' frames and other functions' are passed over.
+    A two-wire adapter that hears itself gives back each request before the answer. It is known by
+    the first request that comes back and cannot be an answer; from then on, what equals the request
+    once is its echo. Noise, other units' frames and other functions' are passed over.
     """
 
     def __init__(self) -> None:
@@ -166,7 +169,7 @@ class LineIncoming(Incoming):
         return self._echoes and not self._held
 
     def late_in(self, data: bytes) -> tuple[bytes, int]:
-        """What is left of bytes that came later, and how many of our unit's answers were in them."""
+        """What is left of late bytes, and how many of our unit's answers were in them."""
         if self._echo_is_due and self._echoes and (at := data.find(self._request)) >= 0:
             data, self._echo_is_due = data[at + len(self._request) :], False
         frames = _frames_in(data)
@@ -210,7 +213,10 @@ def frame_at(data: bytes) -> int:
 
 
 def answer_length(data: bytes) -> int:
-    """Bytes of an answer that begins so (Application Protocol V1.1b3, 6); 0: not known, or not yet."""
+    """Bytes of an answer that begins so (Application Protocol V1.1b3, 6).
+
+    0: not known, or not yet.
+    """
     if len(data) < _SHORTEST:
         return 0
     function = data[1]

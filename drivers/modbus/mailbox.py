@@ -66,6 +66,6 @@ class MailboxAccess:
             sleep(_POLL)
         if status != box.done_code:
             raise AccessDenied(
-                f"{address} cannot be {what}: the mailbox answers {status:02X}h; has this drive the "
-                "parameter, and is it in a state to take it?"
+                f"{address} cannot be {what}: the mailbox answers {status:02X}h; has this drive "
+                "the parameter, and is it in a state to take it?"
             )

@@ -1,7 +1,7 @@
 """Which units there are behind a Modbus connection: one register is read from each.
 
-A unit that is not there answers in one of four ways: not at all, with exception 10 or 11 of a gateway, with
-exception 1 … 4 of a server that answers for every unit, or with data, likewise.
+A unit that is not there answers in one of four ways: not at all, with exception 10 or 11 of a
+gateway, with exception 1 … 4 of a server that answers for every unit, or with data, likewise.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ def survey(
 ) -> Iterator[HeardUnit]:
     """Units of `units` that answer; `tell` hears each number before it is asked. Raises LinkLost.
 
-    Where the first few all answer, and so do some far away, it is one drive that does not look at the number:
-    the first stands for all.
+    Where the first few all answer, and so do some far away, it is one drive that does not look at
+    the number: the first stands for all.
     """
     left = list(units)
     row = 0  # of units that answered, from the first on

@@ -59,7 +59,10 @@ class TcpClient(ModbusTcpClient):
     came: Came
 
     def raw(self, seconds: float) -> bytes:
-        """What comes within some time, as soon as anything does; raises ConnectionException, OSError."""
+        """What comes within some time, as soon as anything does.
+
+        Raises ConnectionException, OSError.
+        """
         stream = self.socket
         if stream is None:
             raise ConnectionException(str(self))
@@ -112,14 +115,14 @@ def connected(wire: TcpWire, timeout: float, on_packet: Packet, came: Came) -> T
         plain = socket.create_connection((wire.host, wire.port), timeout)
     except TimeoutError:
         raise LinkError(
-            f"{place} does not answer within {timeout:g} s; is the address right, the cable in, the "
-            "drive on?",
+            f"{place} does not answer within {timeout:g} s; is the address right, the cable in, "
+            "the drive on?",
             code="link.connect",
         ) from None
     except OSError as error:
         raise LinkError(
-            f"cannot connect to {place}: {error.strerror or error}; is the address right, and Modbus "
-            "TCP switched on in the drive?",
+            f"cannot connect to {place}: {error.strerror or error}; is the address right, and "
+            "Modbus TCP switched on in the drive?",
             code="link.connect",
         ) from None
     plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

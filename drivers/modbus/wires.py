@@ -58,14 +58,17 @@ class Tls:
                 hint = f"is {self.authority} the authority that signed the drive's certificate?"
                 if error.verify_code in _NOT_BY_RFC_5280:
                     hint = (
-                        "the drive's certificate, or an authority's above it, is not made as RFC 5280 wants "
-                        f"it: have both issued anew (authority: {self.authority}), with key identifiers, "
-                        "key usage and critical basic constraints"
+                        "the drive's certificate, or an authority's above it, is not made as RFC "
+                        f"5280 wants it: have both issued anew (authority: {self.authority}), with "
+                        "key identifiers, key usage and critical basic constraints"
                     )
             raise LinkError(f"no TLS with {host}: {reason}; {hint}", code="link.tls") from None
 
     def _context(self) -> ssl.SSLContext:
-        """What is asked of a certificate on every Python alike: what 3.13 asks; raises UsageError."""
+        """What is asked of a certificate on every Python alike: what 3.13 asks.
+
+        Raises UsageError.
+        """
         files = [("ca", self.authority), ("cert", self.certificate), ("key", self.key)]
         for option, path in files:
             try:
@@ -85,15 +88,18 @@ class Tls:
         except (OSError, ssl.SSLError, ValueError) as error:
             key = f" and key {self.key}" if self.key is not None else ""
             raise UsageError(
-                f"cert {self.certificate}{key}: are no certificate in PEM with its key, without a password "
-                f"({getattr(error, 'reason', None) or error})"
+                f"cert {self.certificate}{key}: are no certificate in PEM with its key, without a "
+                f"password ({getattr(error, 'reason', None) or error})"
             ) from None
         return context
 
 
 @dataclass(frozen=True, slots=True)
 class TcpWire:
-    """A TCP connection; `rtu`: a gateway that passes serial frames on; `tls`: under these certificates."""
+    """A TCP connection.
+
+    `rtu`: a gateway that passes serial frames on; `tls`: under these certificates.
+    """
 
     host: str
     port: int

@@ -1,8 +1,9 @@
 """The virtual axes: published machines and a bench, with every figure an option.
 
 Each axis names its source in `AXES`; [M] marks a figure that was given from memory there and is not
-verified. `bench` and `vertical` are made up. `thesis-motor` is section 4.10 of Blaha's thesis with k_DT
-read as 8e-3 and a Coulomb friction of ours; its output filter is the option `output_filter=20`.
+verified. `bench` and `vertical` are made up. `thesis-motor` is section 4.10 of Blaha's thesis with
+k_DT read as 8e-3 and a Coulomb friction of ours; its output filter is the option
+`output_filter=20`.
 """
 
 from __future__ import annotations
@@ -33,10 +34,11 @@ class VirtualAxis:
     ----------
     inertia, viscous, coulomb, breakaway, load, asymmetry, lag : see PlantParameters
     stribeck : speed within which friction falls from breakaway to Coulomb, rad/s or m/s; 0: at once
-    soft, soft_shift : width and shift of a friction that rises smoothly through zero speed, rad/s or m/s
+    soft, soft_shift : width and shift of a friction that rises smoothly through zero speed, rad/s
+        or m/s
     lugre, lugre_damping : stiffness (N.m/rad or N/m) and damping of the bristles; 0: none
-    load_friction, cogging, pitch, resonance, ratio, damping, backlash, load_coulomb, output_filter :
-        see CompliantParameters
+    load_friction, cogging, pitch, resonance, ratio, damping, backlash, load_coulomb, output_filter
+        : see CompliantParameters
     jitter : share of the cycles that are late, by an exponential time of mean one cycle
     loss : share of the cycles without a sample
     stamp : rms error of the time stamps, s
@@ -212,7 +214,8 @@ AXES: dict[str, VirtualAxis] = {
             inertia=0.959, viscous=8.392, coulomb=5.611, load_friction=0.166,
             rated=40.0, peak=120.0, speed=20.0, travel=3.0, encoder=524288,
         ),
-        # robotics-toolbox-matlab; Corke and Armstrong-Helouvry 1994: +0.395/-0.435 N.m; link 1.14 kg.m2 [M]
+        # robotics-toolbox-matlab; Corke and Armstrong-Helouvry 1994: +0.395/-0.435 N.m; link 1.14
+        # kg.m2 [M]
         VirtualAxis(
             name="puma", title="Joint 1 of a robot arm at its motor: friction differs by direction",
             motion="rotary", inertia=4.9e-4, viscous=1.48e-3, coulomb=0.415, asymmetry=-0.0482,

@@ -1,4 +1,7 @@
-"""SDO block upload, the server's side (CiA 301, 7.2.4.3.13 to 15): many bytes with few confirmations."""
+"""SDO block upload, the server's side (CiA 301, 7.2.4.3.13 to 15).
+
+Many bytes with few confirmations.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The friction compensation that the virtual drive has: of every law of a profile, what it makes of it."""
+"""The friction compensation that the virtual drive has.
+
+Of every law of a profile, what it makes of it.
+"""
 
 from __future__ import annotations
 

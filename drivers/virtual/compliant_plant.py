@@ -1,12 +1,13 @@
 """Physics of an axis that is more than rigid with Coulomb friction: integrated in small steps.
 
-    J1·v1' = u_m − B·v1 − F1 − cogging(x1) − spring          x1' = v1     (motor, where the encoder is)
-    J2·v2' = spring − load − F2                               x2' = v2     (load side, where there is one)
-    spring = k·gap(x1 − x2) + c·(v1 − v2), in contact only     lag·u_m' = u − u_m
+    J1·v1' = u_m − B·v1 − F1 − cogging(x1) − spring          x1' = v1     (motor, where the encoder
+    is) J2·v2' = spring − load − F2                               x2' = v2     (load side, where
+    there is one) spring = k·gap(x1 − x2) + c·(v1 − v2), in contact only     lag·u_m' = u − u_m
 
-Without a second mass `load` acts on the motor. Between velocity reversals of either side the equations
-are smooth and a Runge-Kutta step of fourth order is taken; a reversal is found by a secant search and
-the side then sticks, or turns. The rigid axis with Coulomb friction has its closed form in `plant`.
+Without a second mass `load` acts on the motor. Between velocity reversals of either side the
+equations are smooth and a Runge-Kutta step of fourth order is taken; a reversal is found by a
+secant search and the side then sticks, or turns. The rigid axis with Coulomb friction has its
+closed form in `plant`.
 """
 
 from __future__ import annotations
@@ -36,10 +37,12 @@ class CompliantParameters:
     viscous : B, on the motor
     friction : law on the motor
     load : torque that holds the axis
-    asymmetry : share by which friction is larger in the positive and smaller in the negative direction
+    asymmetry : share by which friction is larger in the positive and smaller in the negative
+        direction
     load_friction : share of the transmitted torque |u_m − load| that is friction too
     lag : of the torque loop, s
-    cogging, pitch : amplitude, N.m or N, and period, rad or m, of a torque that goes with the position
+    cogging, pitch : amplitude, N.m or N, and period, rad or m, of a torque that goes with the
+        position
     resonance : of motor against load, Hz; 0: one rigid mass
     ratio : inertia of the load over that of the motor
     damping : of the resonance, as a damping ratio
@@ -231,7 +234,10 @@ class CompliantPlant:
         return time
 
     def _barely(self, begin: _State, step: float, command: float, side: str) -> float:
-        """A side that broke away and is turned back within the step: as far as it goes, or not at all."""
+        """A side that broke away and is turned back within the step.
+
+        As far as it goes, or not at all.
+        """
         for _ in range(_HALVINGS):
             step *= 0.5
             end = self._runge_kutta(begin, step, command)

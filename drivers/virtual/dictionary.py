@@ -15,7 +15,7 @@ REVISION = 0x00010000
 
 @dataclass(frozen=True)
 class Dictionary:
-    """Objects by (index, sub), texts by index, vendor, product, revision of 1018h, and what is missing.
+    """Objects by (index, sub), texts by index, identity (1018h), and what is missing.
 
     `lacks`: communication objects (1010h, 1016h …) that this drive does not have.
     """

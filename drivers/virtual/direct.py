@@ -106,7 +106,10 @@ class DirectBus:
         return {}
 
     def put_back(self, old: dict[str, int]) -> bool:
-        """Nothing but parameters of the profile was changed; raises UsageError for anything else."""
+        """Nothing but parameters of the profile was changed.
+
+        Raises UsageError for anything else.
+        """
         if old:
             raise UsageError(f"no parameter of profile '{self._profile.name}': {', '.join(old)}")
         return False

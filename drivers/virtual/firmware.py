@@ -468,7 +468,7 @@ class Firmware:
                 return
 
     def _needs_loop(self) -> bool:
-        """Whether the drive's own loops are at work (else the torque is constant between events)."""
+        """Whether the drive's own loops are at work; else the torque is constant."""
         if not self._enabled:
             return self._state in (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
         if self.values["mode"] == MODE_CYCLIC_TORQUE:

@@ -1,7 +1,7 @@
 """Habits of real drives that a virtual one takes on when it is asked to.
 
-Each was seen on a drive, a stack or in a bug report that nobody here wrote. Without any the virtual drive
-keeps its standards to the letter.
+Each was seen on a drive, a stack or in a bug report that nobody here wrote. Without any the virtual
+drive keeps its standards to the letter.
 """
 
 from __future__ import annotations

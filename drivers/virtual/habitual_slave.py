@@ -1,4 +1,7 @@
-"""The virtual drive on Modbus with habits of real ones: of the drive, its gateway, and its adapter."""
+"""The virtual drive on Modbus with habits of real ones.
+
+Of the drive, its gateway, and its adapter.
+"""
 
 from __future__ import annotations
 

@@ -32,8 +32,8 @@ class Memory:
         """The memory in a file that is absent or ours; raises UsageError."""
         if _is_there(path) and _read(path) is None:
             raise UsageError(
-                f"state {path}: is there, and is no memory of a virtual drive: it would be overwritten. "
-                "Name another file, or remove this one"
+                f"state {path}: is there, and is no memory of a virtual drive: it would be "
+                "overwritten. Name another file, or remove this one"
             )
         return cls(path)
 

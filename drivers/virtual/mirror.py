@@ -1,4 +1,7 @@
-"""Object values against the firmware's: scale, and what stands behind an object that does nothing."""
+"""Object values against the firmware's.
+
+Scale, and what stands behind an object that does nothing.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +24,8 @@ _LIMITS = {
 class Entry(NamedTuple):
     """Object that mirrors firmware values: object value times `factor` is the firmware's.
 
-    `keys`: every one is written, the first is read; none: the object keeps a value by its `name` and does
-    nothing by itself.
+    `keys`: every one is written, the first is read; none: the object keeps a value by its `name`
+    and does nothing by itself.
     """
 
     keys: tuple[str, ...]

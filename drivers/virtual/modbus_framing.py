@@ -1,4 +1,7 @@
-"""How Modbus requests are cut out of what comes: by MBAP on TCP, by length and check sum on a serial line."""
+"""How Modbus requests are cut out of what comes.
+
+By MBAP on TCP, by length and check sum on a serial line.
+"""
 
 from __future__ import annotations
 
@@ -157,7 +160,10 @@ class RtuFraming(Framing):
 
 
 def crc(data: bytes) -> int:
-    """Check sum of Modbus RTU (Serial Line V1.02, 6.2.2); 0 over a frame with its own, low byte first."""
+    """Check sum of Modbus RTU (Serial Line V1.02, 6.2.2).
+
+    0 over a frame with its own, low byte first.
+    """
     value = 0xFFFF
     for byte in data:
         value ^= byte

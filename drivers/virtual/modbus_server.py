@@ -52,7 +52,10 @@ def _after(wait: float, send: Callable[[bytes], None], part: bytes) -> None:
 
 
 class _Connection(asyncio.Protocol):
-    """A client; one that does not read its answers is not listened to until it does: no buffer grows."""
+    """A client; one that does not read its answers is not listened to until it does.
+
+    No buffer grows.
+    """
 
     def __init__(self, server: ModbusServer) -> None:
         self._server = server

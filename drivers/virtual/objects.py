@@ -30,7 +30,10 @@ _MOST = 4_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Object:
-    """One object: raw default, smallest and largest value; `nonvolatile` ones are kept by a store."""
+    """One object: raw default, smallest and largest value.
+
+    `nonvolatile` ones are kept by a store.
+    """
 
     default: int
     low: int = -(1 << 31)

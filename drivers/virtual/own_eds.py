@@ -18,7 +18,8 @@ def own_eds(
     vendor, product, revision = identity
     lines = [
         "[FileInfo]", "FileName=virtual.eds", "FileVersion=1", "FileRevision=0", "EDSVersion=4.0",
-        "", "[DeviceInfo]", "VendorName=tworelay", f"VendorNumber=0x{vendor:08X}", f"ProductName={name}",
+        "", "[DeviceInfo]", "VendorName=tworelay", f"VendorNumber=0x{vendor:08X}",
+        f"ProductName={name}",
         f"ProductNumber=0x{product:08X}", f"RevisionNumber=0x{revision:08X}",
     ]  # fmt: skip
     records = {index for index, sub in objects if sub}

@@ -33,7 +33,8 @@ class PlantParameters:
     coulomb : mean Coulomb friction of both directions, N.m or N
     breakaway : torque that the axis withstands at rest, N.m or N; at least `coulomb`
     load : torque needed to hold the axis, N.m or N (> 0 needs a positive torque)
-    asymmetry : share by which friction is larger in the positive and smaller in the negative direction
+    asymmetry : share by which friction is larger in the positive and smaller in the negative
+        direction
     lag : time constant of the torque loop, s
     """
 
@@ -140,7 +141,10 @@ class Plant:
     # -- at rest ---------------------------------------------------------------------------------
 
     def _stand(self, limit: float, command: float) -> float:
-        """Stay at rest until the torque breaks the axis away, at most `limit` s; return the time."""
+        """Stay at rest until the torque breaks the axis away, at most `limit` s.
+
+        Return the time.
+        """
         p = self.parameters
         upper = p.load + p.breakaway * (1 + p.asymmetry)
         lower = p.load - p.breakaway * (1 - p.asymmetry)

@@ -9,7 +9,9 @@ __all__ = ["pseudo_terminal"]
 
 
 def pseudo_terminal() -> tuple[int, int, str]:
-    """Both ends, raw, and the path of the client's; the near end does not block. Raises ImportError.
+    """Both ends, raw, and the path of the client's; the near end does not block.
+
+    Raises ImportError.
 
     The client's end stays open here, so that clients may come and go.
     """

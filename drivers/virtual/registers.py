@@ -67,11 +67,11 @@ _OWN: dict[int, tuple[str, str]] = {
 class Layout:
     """Which object lies in which register.
 
-    `bits`: registers that are made of several objects, each with its mask. `low_first`: registers at which a
-    value begins with its low word. `filled`: registers that nobody needs, and that read 0.
-    `position`: the register whose reading completes a cycle. `functions`: those that the drive knows.
-    `identity`: vendor, product, revision by FC 43/14. `traffic_feeds`: any request feeds the watchdog.
-    `posted`: objects behind the mailbox, by number and sub-index.
+    `bits`: registers that are made of several objects, each with its mask. `low_first`: registers
+    at which a value begins with its low word. `filled`: registers that nobody needs, and that read
+    0. `position`: the register whose reading completes a cycle. `functions`: those that the drive
+    knows. `identity`: vendor, product, revision by FC 43/14. `traffic_feeds`: any request feeds the
+    watchdog. `posted`: objects behind the mailbox, by number and sub-index.
     """
 
     registers: dict[int, Entry]

@@ -130,7 +130,8 @@ async def _serve(
             places = [p for p in asked if p is not None]
             where = " or ".join(f"{host}:{port}" for host, port in places)
             raise UsageError(
-                f"cannot serve on {where}: {_TROUBLE.get(error.errno or 0) or error.strerror or error}"
+                f"cannot serve on {where}: "
+                f"{_TROUBLE.get(error.errno or 0) or error.strerror or error}"
             ) from None
         has_timers = clock == "wall" or bool(endpoints.habits.values)
         while not end.is_set():

@@ -1,4 +1,7 @@
-"""Power by procedure: which writes energise the firmware of a twin, and what it says of its state."""
+"""Power by procedure.
+
+Which writes energise the firmware of a twin, and what it says of its state.
+"""
 
 from __future__ import annotations
 
@@ -99,7 +102,10 @@ def _writes(steps: tuple[Step, ...]) -> list[Write]:
 
 
 def _bits(condition: Condition, *, holds: bool, moves: bool) -> int:
-    """A raw value with which the condition holds, or does not; of several, one says that the axis moves."""
+    """A raw value with which the condition holds, or does not.
+
+    Of several, one says that the axis moves.
+    """
     other = condition.mask & 0xFFFF
     if condition.differs is None:
         value = condition.wanted[-1 if moves else 0]

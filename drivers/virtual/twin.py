@@ -1,7 +1,8 @@
 """A drive that behaves by another drive's map: its twin.
 
-The objects or registers, their types and units are the profile's; what they do is the virtual firmware's.
-A twin cannot show that its profile is wrong: it is to rehearse on, and to try every profile from end to end.
+The objects or registers, their types and units are the profile's; what they do is the virtual
+firmware's. A twin cannot show that its profile is wrong: it is to rehearse on, and to try every
+profile from end to end.
 """
 
 from __future__ import annotations
@@ -61,7 +62,10 @@ RATED_CURRENT = 2.0  # A, of every virtual motor
 
 
 def twin(profile: Profile, axis: VirtualAxis) -> Dictionary:
-    """The object dictionary of the drive that `profile` is for, before `axis`; raises UsageError."""
+    """The object dictionary of the drive that `profile` is for, before `axis`.
+
+    Raises UsageError.
+    """
     if profile.bus != "canopen":
         raise UsageError(
             f"profile '{profile.name}' is for {profile.bus}: its twin is no CANopen node"
@@ -164,7 +168,7 @@ def _between(profile: Profile) -> frozenset[int]:
 
 
 def _behind(profile: Profile) -> dict[str, tuple[str, ...]]:
-    """Firmware values behind the parameters of the compensation law, the limits and the watchdog."""
+    """Firmware values behind parameters of compensation, limits and watchdog."""
     limits = profile.limits.items()
     found = {name: (f"max_{kind}",) for kind, name in limits if kind != "current"}
     if profile.watchdog.parameter is not None:

@@ -124,7 +124,8 @@ def test_the_stop_is_proved_the_way_in_which_the_load_moves_the_axis(
     assert all(push * way > 0.1 for push in pushes)
 
 
-# -- at the limits: numbers that are exact in binary, so that "at" and "beyond" are what they say ------
+# -- at the limits: numbers that are exact in binary, so that "at" and "beyond" are what they say
+# ------
 
 TICK = 1 / 128  # s
 
@@ -281,7 +282,8 @@ def test_what_is_said_is_what_is_beyond_its_limit_and_not_what_is_at_it() -> Non
     assert "for the first motions" not in str(tripped.value)
 
 
-# -- positions that are commanded ----------------------------------------------------------------------
+# -- positions that are commanded
+# ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -311,7 +313,8 @@ def test_a_step_of_the_position_command_is_no_more_than_the_speed_goes_in_a_cycl
         w.admit_position(sign * beyond(3 / 16))
 
 
-# -- the position answers against the torque -----------------------------------------------------------
+# -- the position answers against the torque
+# -----------------------------------------------------------
 
 LIGHT = Stopping(inertia=1e-3, friction=0.1, braking=0.2, reaction=0.01)
 
@@ -322,7 +325,10 @@ def seen(w: Watch, positions: list[float], command: float = 0.0) -> None:
 
 
 def judged(**changes: object) -> Watch:
-    """0.2 N.m and 0.1 N.m of friction on 1e-3 kg.m2: six times 300 rad/s² is 14 rad/s in 1/128 s."""
+    """0.2 N.m and 0.1 N.m of friction on 1e-3 kg.m2.
+
+    Six times 300 rad/s² is 14 rad/s in 1/128 s.
+    """
     fixed = {"travel": 1e3, "speed": 1e3, "stopping": LIGHT, "relay_torque": 0.2}
     return exact(**{**fixed, **changes})
 
@@ -357,7 +363,8 @@ def test_nothing_is_judged_before_the_inertia_is_known() -> None:
 
 
 def gaining(command: float, **changes: object) -> None:
-    """From 1 rad/s by 256 rad/s² to beyond the speed limit of 8 rad/s, in 3.5 to 4 cycles of 1/128 s."""
+    """From 1 rad/s by 256 rad/s² to beyond the speed limit of 8 rad/s,
+    in 3.5 to 4 cycles of 1/128 s."""
     w, position = exact(travel=1e3, **changes), 0.0
     for n in range(12):
         w.check(sample(n * TICK, position, command))

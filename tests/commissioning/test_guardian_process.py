@@ -133,8 +133,10 @@ def test_a_first_connection_that_died_is_not_the_last_try(monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("order", "words", "code"),
     [
-        ({"axis": {"link": "modbus-tcp://127.0.0.1:1", "profile": "virtual-modbus"}}, "cannot connect", 4),
-        ({"axis": {"link": "modbus-tcp://127.0.0.1:1", "profile": "nosuch"}}, "no profile named", 2),
+        ({"axis": {"link": "modbus-tcp://127.0.0.1:1", "profile": "virtual-modbus"}},
+        "cannot connect", 4),
+        ({"axis": {"link": "modbus-tcp://127.0.0.1:1", "profile": "nosuch"}}, "no profile named",
+        2),
         ({"port": ["/dev/nosuch", 9600, "N", 1], "token": "x"}, "nosuch", 4),
     ],
 )  # fmt: skip

@@ -185,7 +185,8 @@ def test_stores_are_counted_for_each_drive(tmp_path: Path) -> None:
         assert journal.stores(mine) == 3, "it is counted when it was done"
 
 
-# -- what only shows when something is odd --------------------------------------------------------------
+# -- what only shows when something is odd
+# --------------------------------------------------------------
 
 
 def test_a_journal_makes_the_folders_that_it_needs(tmp_path: Path) -> None:
@@ -339,7 +340,8 @@ def test_a_journal_that_wrote_nothing_has_no_last_writer(journal: Journal) -> No
 def test_what_a_run_did_last_to_the_memory_is_known(journal: Journal) -> None:
     run, other = begin(journal), begin(journal)
     for text, memory in (
-        ("begun", ""), (STORING, STORING), ("guardian: the loop has died", STORING), (STORED, STORED),
+        ("begun", ""), (STORING, STORING), ("guardian: the loop has died", STORING), (STORED,
+        STORED),
         ("anything", STORED), (STORING, STORING), (RESTORED, RESTORED),
     ):  # fmt: skip
         journal.note(run, text)

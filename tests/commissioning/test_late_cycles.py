@@ -112,7 +112,10 @@ with Journal(Path(sys.argv[1])) as journal, Interruption() as interruption:
 
 
 def test_nothing_is_imported_in_a_cycle(tmp_path: Path) -> None:
-    """np.median imports numpy.ma when it is called first: 80 ms and more on a busy laptop, in motion."""
+    """np.median imports numpy.ma when it is called first.
+
+    80 ms and more on a busy laptop, in motion.
+    """
     done = subprocess.run(
         [sys.executable, "-c", WATCHED, str(tmp_path)],
         capture_output=True, text=True, cwd=ROOT, timeout=150, check=True,

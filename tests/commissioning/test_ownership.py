@@ -92,7 +92,8 @@ def test_a_refusal_names_process_user_run_and_since_when() -> None:
         announce("run 20261125-140305-x")
         told = in_another_thread(LOCAL)
     words = (
-        rf"another tworelay has the bus of {re.escape(LOCAL)} \(process {os.getpid()}, (user \S+, )?"
+        rf"another tworelay has the bus of {re.escape(LOCAL)} \(process {os.getpid()}, (user \S+, "
+        r")?"
         r"run 20261125-140305-x, since \d\d:\d\d:\d\d\): wait for it, or end it; "
         "'tworelay stop' works in spite of it"
     )
@@ -195,7 +196,8 @@ def _locks_of_this_thread() -> set[str]:
     return set(commissioning.ownership._mine.locks)
 
 
-# -- users --------------------------------------------------------------------------------------------
+# -- users
+# --------------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
@@ -274,7 +276,8 @@ def test_without_a_folder_for_locks_nothing_is_owned(locks: Path) -> None:
         FileLock("bus", "mine")
 
 
-# -- who asks -----------------------------------------------------------------------------------------
+# -- who asks
+# -----------------------------------------------------------------------------------------
 
 
 def test_whatever_opens_a_link_asks_and_stop_does_not(serve: Serve, tworelay: Tworelay) -> None:

@@ -51,7 +51,8 @@ def says(drive: ProfiledDrive, **what: bool) -> Callable[[], DriveSays]:
     return lambda: said
 
 
-# -- a look that writes nothing -----------------------------------------------------------------------
+# -- a look that writes nothing
+# -----------------------------------------------------------------------
 
 
 def test_a_drive_that_is_fit_is_let_through(drive: ProfiledDrive) -> None:
@@ -103,7 +104,10 @@ def test_a_compensation_that_acts_in_torque_mode_must_be_zero(drive: ProfiledDri
 
 
 def moving(drive: ProfiledDrive, monkeypatch: pytest.MonkeyPatch, steps: list[int]) -> list[float]:
-    """The axis is so many counts further at each second reading of its position; returns the waits."""
+    """The axis is so many counts further at each second reading of its position.
+
+    Returns the waits.
+    """
     position, waits = [0.0], []
     monkeypatch.setattr(drive, "read", lambda name: Value(0, position[0]))
 
@@ -135,7 +139,8 @@ def test_an_axis_that_moves_by_itself_is_refused(
         look(drive, AXIS)
 
 
-# -- limits -------------------------------------------------------------------------------------------
+# -- limits
+# -------------------------------------------------------------------------------------------
 
 
 def test_limits_are_the_user_s_else_the_axis_else_the_drive_s(drive: ProfiledDrive) -> None:
@@ -265,7 +270,8 @@ def test_everything_that_a_job_leaves_as_found_is_journalled_before_it_moves(
     preflight.set_limits(drive, settings, LIMITS, lambda text: None)
     named = {i.parameter for i in settings._journal.intents(settings.run, open_only=True)}
     assert {
-        "max_torque", "max_speed", "torque_target", "position_target", "1400h:01", "mode_of_operation",
+        "max_torque", "max_speed", "torque_target", "position_target", "1400h:01",
+        "mode_of_operation",
     } <= named  # fmt: skip
     assert all(drive.read(name).raw == raw for name, raw in drive.preparation.watchdog().items()), (
         "armed"
@@ -296,7 +302,8 @@ def test_a_drive_that_is_enabled_by_being_prepared_is_stopped_and_refused(
     assert stops == [True]
 
 
-# -- the watchdog -------------------------------------------------------------------------------------
+# -- the watchdog
+# -------------------------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -26,7 +26,10 @@ SCALING = Scaling(1.0, 4096.0, Mechanics())
 
 
 class Drawer:
-    """A drive that is a drawer of raw values; it notes what is done, and fails where it is told to."""
+    """A drive that is a drawer of raw values.
+
+    It notes what is done, and fails where it is told to.
+    """
 
     def __init__(self, journal: Journal, profile: Profile = PROFILE) -> None:
         self.describe(profile)
@@ -355,7 +358,8 @@ def test_what_was_reached_is_said_in_one_line() -> None:
     )
 
 
-# -- exclusive access ---------------------------------------------------------------------------------
+# -- exclusive access
+# ---------------------------------------------------------------------------------
 
 
 @pytest.fixture

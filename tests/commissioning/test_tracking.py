@@ -1,4 +1,7 @@
-"""The path that an axis follows in position mode: where it begins, and what may not be tried again."""
+"""The path that an axis follows in position mode.
+
+Where it begins, and what may not be tried again.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Each habit of a real drive on one link: the job is done with the numbers of a drive without, or the way out
+"""Each habit of a real drive on one link.
+
+The job is done with the numbers of a drive without, or the way out
 is named. `make habits` plays them on every link."""
 
 from __future__ import annotations

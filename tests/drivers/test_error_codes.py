@@ -12,7 +12,8 @@ from drivers.error_codes import is_of_communication, register_words, words
     [
         (0x8130, "heartbeat"), (0x8250, "PDO"), (0x8140, "bus-off"), (0x8611, "following error"),
         (0x3210, "DC link"), (0x2310, "overcurrent"), (0x7305, "encoder"), (0x4210, "too hot"),
-        (0x2399, "current at the motor"), (0x34FF, "voltage"), (0xFF17, "vendor"), (0x8199, "communication"),
+        (0x2399, "current at the motor"), (0x34FF, "voltage"), (0xFF17, "vendor"), (0x8199,
+        "communication"),
     ],
 )  # fmt: skip
 def test_a_code_in_words(code: int, part: str) -> None:
@@ -24,7 +25,10 @@ def test_what_no_standard_knows_is_not_made_up() -> None:
 
 
 def test_bits_of_the_error_register() -> None:
-    """CiA 301, 7.5.2.2: generic, current, voltage, temperature, communication, profile, reserved, vendor."""
+    """CiA 301, 7.5.2.2.
+
+    Generic, current, voltage, temperature, communication, profile, reserved, vendor.
+    """
     assert register_words(0x11) == "generic, communication"
     assert register_words(0x8E) == "current, voltage, temperature, vendor"
     assert register_words(0) == ""

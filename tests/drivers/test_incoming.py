@@ -38,7 +38,10 @@ def test_an_echo_is_seen_once_and_left_out_from_then_on(piece: int) -> None:
 
 @pytest.mark.parametrize("noise", [b"\x00", b"\x01", b"\x01\x03", ANSWER])
 def test_a_disturbance_before_an_echo_does_not_make_an_answer_of_it(noise: bytes) -> None:
-    """A read of one register at 03xxh is `01 03 03 ..`: as an answer it would have a count of three bytes."""
+    """A read of one register at 03xxh is `01 03 03 ..`.
+
+    As an answer it would have a count of three bytes.
+    """
     read = bytes.fromhex("01 03 03 10 00 01 84 4B")
     line = LineIncoming()
     line.ask(read)

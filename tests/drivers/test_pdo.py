@@ -1,4 +1,7 @@
-"""What a PDO carries, byte for byte: CiA 301, 7.5.2.36 – little endian, in the order of its mapping."""
+"""What a PDO carries, byte for byte.
+
+CiA 301, 7.5.2.36 – little endian, in the order of its mapping.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,8 @@ def test_as_wide_as_the_drive_has_it() -> None:
 
 
 def test_as_the_drive_has_mapped_it() -> None:
-    """Another order, another object between, which is sent as it reads, and room for nothing (0005h)."""
+    """Another order, another object between, which is sent as it reads,
+    and room for nothing (0005h)."""
     pdo = rpdo()
     there = mapped(0x607A0020, 0x60600008, 0x60710010, 0x00050008)
     assert pdo.missing_in(there) == ["6040h"]

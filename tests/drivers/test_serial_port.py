@@ -1,4 +1,7 @@
-"""A serial port, and one that is lent: what the borrower hears, and what is left when its owner ends."""
+"""A serial port, and one that is lent.
+
+What the borrower hears, and what is left when its owner ends.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The stop path against a drive of a few lines: what is sent, in which order, how long is waited."""
+"""The stop path against a drive of a few lines.
+
+What is sent, in which order, how long is waited.
+"""
 
 from __future__ import annotations
 
@@ -174,7 +177,8 @@ def test_a_second_signal_ends_the_waiting() -> None:
 @pytest.mark.parametrize(
     ("motion", "waits"),
     [
-        # noise: 0.3 revolutions/s of 1000 increments are 1.5 in 5 ms; the first looks at 30 allow 37.5
+        # noise: 0.3 revolutions/s of 1000 increments are 1.5 in 5 ms; the first looks at 30 allow
+        # 37.5
         ([30, 30, 38, 38, 38], 4),
         ([30, 30, 37, 37, 37, 37], 200),
         ([30, 30, 38, 37, 38, 37, 38, 38], 8),
@@ -268,7 +272,8 @@ def test_a_bus_that_others_connect_to_needs_no_frames() -> None:
     assert motor.path().frames(motor.rest()) is None
 
 
-# -- by a procedure -----------------------------------------------------------------------------------
+# -- by a procedure
+# -----------------------------------------------------------------------------------
 
 TWO_KEY = parse_model((ROOT / "tests/faults/two_key.toml").read_text(), Profile, "two-key")
 HALT = ("halt", 1)
@@ -374,7 +379,8 @@ def test_a_step_that_waits_may_be_the_last_one() -> None:
     assert frames.frames[-2:] == ((b"key_2=0", 0.03), (b"halt=0", 0.2))
 
 
-# -- a drive that has no time, or takes it --------------------------------------------------------------
+# -- a drive that has no time, or takes it
+# --------------------------------------------------------------
 
 
 class Hectic(Motor):
@@ -443,7 +449,10 @@ def test_time_is_counted_and_not_looks() -> None:
 
 
 def test_what_is_refused_by_an_answer_that_comes_later_is_said_again() -> None:
-    """On CANopen a post is an SDO download whose answer nobody waits for: 0800 0022h is seen afterwards."""
+    """On CANopen a post is an SDO download whose answer nobody waits for.
+
+    0800 0022h is seen afterwards.
+    """
     motor = Motor(CANOPEN, motion=[20.0] * 20, rests_after=12)
     control = CANOPEN.parameters["controlword"].address
     motor.refuses = [(control, 0x0002)]

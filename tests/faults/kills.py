@@ -275,7 +275,10 @@ class _Counted:
 
 
 def _cut(home: Path, under_way: Callable[[], Any]) -> None:
-    """What a disk holds after a power cut: all that was synchronised, and half of what was under way."""
+    """What a disk holds after a power cut.
+
+    All that was synchronised, and half of what was under way.
+    """
     left = home.with_name("cut")
     shutil.copytree(home, left, ignore=shutil.ignore_patterns("*-shm"))
     name = "journal.sqlite-wal"

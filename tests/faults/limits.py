@@ -182,7 +182,8 @@ def main() -> int:
             out.flush()
     shares = ", ".join(f"{name} {100 * value:.1f} %" for name, value in worst.items())
     out.write(
-        f"faster than the drive holds, until its limiter ({_LIMITER * 1000:g} ms and lag) acts: {gained}\n"
+        f"faster than the drive holds, until its limiter ({_LIMITER * 1000:g} ms and lag) acts: "
+        f"{gained}\n"
     )
     out.write(f"exit codes {dict(sorted(codes.items()))}; most of a limit: {shares}\n")
     out.write(f"limits: {done} axes, {held} held\n")

@@ -1,4 +1,7 @@
-"""The machine itself fails, in every phase of an experiment, in simulated time: `make machine-faults`."""
+"""The machine itself fails, in every phase of an experiment, in simulated time.
+
+`make machine-faults`.
+"""
 
 from __future__ import annotations
 
@@ -358,7 +361,8 @@ def main() -> int:
             out.write(f"{job}: {len(found)} phases\n")
             out.flush()
     out.write(
-        "fault: cases, held, slowest reaction s, most of the travel %, largest drop rad, speed gained rad/s\n"
+        "fault: cases, held, slowest reaction s, most of the travel %, largest drop rad, speed "
+        "gained rad/s\n"
     )
     for fault in Fault:
         mine = [o for o in outcomes if o.fault is fault]
@@ -366,8 +370,10 @@ def main() -> int:
             continue
         drop = max((o.drop for o in mine if o.job.axis == "vertical"), default=0.0)
         out.write(
-            f"{fault}: {len(mine)}, {sum(not o.wrong for o in mine)}, {max(o.reaction for o in mine):.3f}, "
-            f"{100 * max(o.travel for o in mine):.0f}, {drop:.3f}, {max(o.faster for o in mine):.1f}\n"
+            f"{fault}: {len(mine)}, {sum(not o.wrong for o in mine)}, "
+            f"{max(o.reaction for o in mine):.3f}, "
+            f"{100 * max(o.travel for o in mine):.0f}, {drop:.3f}, "
+            f"{max(o.faster for o in mine):.1f}\n"
         )
     held = sum(not o.wrong for o in outcomes)
     out.write(f"machine faults: {len(outcomes)} cases, {held} held\n")

@@ -25,7 +25,8 @@ WATCHED = (
     "viscous_gain", "torque_offset",
 )  # fmt: skip
 OF_TWO_KEYS = (
-    "max_torque", "max_speed", "watchdog_time", "control_mode", "key_1", "key_2", "halt", "torque_target",
+    "max_torque", "max_speed", "watchdog_time", "control_mode", "key_1", "key_2", "halt",
+    "torque_target",
     "torque_offset", "friction_positive", "friction_negative",
 )  # fmt: skip
 
@@ -94,7 +95,9 @@ WIRES = {
 
 
 class Proxy:
-    """Between one host at a time and the drive; counts transactions, and breaks number `at` (from 0).
+    """Between one host at a time and the drive.
+
+    Counts transactions, and breaks number `at` (from 0).
 
     Attributes
     ----------

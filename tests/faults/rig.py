@@ -24,7 +24,8 @@ from tests.faults.proxy import NEED_NO_ANSWER, WIRES, Proxy, Way, drive_end
 __all__ = ["Rig", "ways"]
 
 PDO = (
-    (0x1400, 1), (0x1400, 2), (0x1600, 0), (0x1600, 1), (0x1800, 1), (0x1800, 2), (0x1A00, 0), (0x1A00, 1),
+    (0x1400, 1), (0x1400, 2), (0x1600, 0), (0x1600, 1), (0x1800, 1), (0x1800, 2), (0x1A00, 0),
+    (0x1A00, 1),
     (0x1017, 0),
 )  # fmt: skip
 ALLOWED = {3, 4, 5, 6, 7}  # refused, link, drive stopped, rejected, not put back: never a bug (1)
@@ -83,7 +84,10 @@ class Rig:
         self.before = self.look()
 
     def look(self) -> dict[str, int]:
-        """Parameters of the drive, after time enough for its own watchdog; it must be de-energised."""
+        """Parameters of the drive, after time enough for its own watchdog.
+
+        It must be de-energised.
+        """
         watch = self._watch
         watch.wait(0.2)
         assert not watch.state().is_energised, "the axis is energised"

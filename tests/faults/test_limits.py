@@ -1,4 +1,7 @@
-"""Random axes and settings: position, speed and torque stay within their limits, and no energy is left."""
+"""Random axes and settings.
+
+Position, speed and torque stay within their limits, and no energy is left.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The machine fails within a job: the axis comes to rest without energy, in one line with the right code."""
+"""The machine fails within a job.
+
+The axis comes to rest without energy, in one line with the right code.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""One transaction of a job breaks, in every way: the axis is at rest, and everything is put back or named."""
+"""One transaction of a job breaks, in every way.
+
+The axis is at rest, and everything is put back or named.
+"""
 
 from __future__ import annotations
 

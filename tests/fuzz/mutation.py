@@ -22,8 +22,10 @@ slowly_fuzzed = settings(
 )  # 0.1 s and more each
 
 _NASTY = (
-    b"\0", b"\xff", b"\xef\xbb\xbf", b"=", b"[", b"]", b'"', b"'", b"\n", b"\r", b"-", b"9" * 40, b"1e999",
-    b"nan", b"0x", b"$NODEID", b"-0x8000", b"true", b"{}", b"[[", b"\xf0\x9f\x92\xa9", b"9" * 5000, b";",
+    b"\0", b"\xff", b"\xef\xbb\xbf", b"=", b"[", b"]", b'"', b"'", b"\n", b"\r", b"-", b"9" * 40,
+    b"1e999",
+    b"nan", b"0x", b"$NODEID", b"-0x8000", b"true", b"{}", b"[[", b"\xf0\x9f\x92\xa9", b"9" * 5000,
+    b";",
     b",",
 )  # fmt: skip
 _EDIT = st.tuples(

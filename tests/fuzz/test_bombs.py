@@ -157,7 +157,8 @@ def test_an_exported_run_whose_id_leads_elsewhere(tmp_path: Path) -> None:
     """Nothing of a file is used as a path."""
     (tmp_path / "run.json").write_text("{}")
     run = {
-        "id": "../../elsewhere", "created": 0.0, "axis": "x", "link": "virtual://bench", "profile": "p",
+        "id": "../../elsewhere", "created": 0.0, "axis": "x", "link": "virtual://bench",
+        "profile": "p",
         "profile_hash": "h", "serial": "0x1", "status": "completed", "context": {},
     }  # fmt: skip
     tree = {"schema": "tworelay.journal/1", "run": run, "intents": [], "events": []}

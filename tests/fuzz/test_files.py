@@ -35,7 +35,8 @@ EDS = (
     "ProductName=D1\nProductNumber=7\n[MandatoryObjects]\nSupportedObjects=1\n1=0x1000\n"
     + "".join(
         f"[{index}]\nParameterName=P{index}\nObjectType=0x7\nDataType=0x000{kind}\nAccessType={access}\n"
-        f"DefaultValue={'0x3AD' if index == '6502' else '$NODEID+1'}\nLowLimit=\nHighLimit=\nPDOMapping=1\n"
+        f"DefaultValue={'0x3AD' if index == '6502' else '$NODEID+1'}\nLowLimit=\nHighLimit=\n"
+        f"PDOMapping=1\n"
         for index, (kind, access) in OBJECTS.items()
     )
 ).encode()
@@ -111,7 +112,8 @@ def test_recordings(tmp_path: Path, data: bytes) -> None:
 
 
 LINKS = (
-    "virtual://bench?coulomb=0.1&delay=0.002", "modbus-tcp://10.0.0.1:502?unit=1", "modbus-rtu:COM5?unit=1",
+    "virtual://bench?coulomb=0.1&delay=0.002", "modbus-tcp://10.0.0.1:502?unit=1",
+    "modbus-rtu:COM5?unit=1",
     "canopen://socketcand/[::1]:29536/can0?node=5&bitrate=500000", "modbus-tls://h:802?ca=a&cert=b&key=c",
     "modbus-rtu:///spy:///dev/null?file=x", "canopen://slcan/%2Fdev%2Fpts%2F3?node=5", "virtual://bench?state=x",
 )  # fmt: skip

@@ -1,4 +1,7 @@
-"""Whatever a peer sends: it is an answer, or an error in one line, and the next answer is understood."""
+"""Whatever a peer sends.
+
+It is an answer, or an error in one line, and the next answer is understood.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,10 @@ _PATIENCE = 0.001  # s for an answer that is none
 
 
 class Server:
-    """Answers each Modbus TCP request by `answer`: bytes behind the right transaction, or as they are."""
+    """Answers each Modbus TCP request by `answer`.
+
+    Bytes behind the right transaction, or as they are.
+    """
 
     def __init__(self) -> None:
         self._listener = socket.create_server(("127.0.0.1", 0))

@@ -1,4 +1,6 @@
-"""make habits: every habit on every link; ends with "habits: N cases, S survived, R refused by name, 0 else".
+"""make habits: every habit on every link.
+
+Ends with "habits: N cases, S survived, R refused by name, 0 else".
 
 python -m tests.habits.campaign [LINK …]: only these of socketcand, slcan, modbus-tcp, modbus-rtu,
 modbus-rtu-tcp, virtual. One link takes about a minute on two cores.

@@ -1,6 +1,7 @@
 """What becomes of a job with each habit of a real drive: done, or refused by name.
 
-The verdicts are those of the issue that the habits were collected for, and not of the code under test.
+The verdicts are those of the issue that the habits were collected for, and not of the code under
+test.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ class Case:
     Attributes
     ----------
     habits : NAME[=VALUE], several compose
-    refused : exit code, and words that must be on standard error; None: the job is done, with the numbers of
-        a drive without habits
+    refused : exit code, and words that must be on standard error; None: the job is done, with the
+        numbers of a drive without habits
     says : words that must be on standard output of a job that is done
     options : of identify, more
     keys : of the axis file, more

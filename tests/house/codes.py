@@ -13,8 +13,9 @@ __all__ = ["page"]
 
 _HEAD = """# Codes
 
-Stable names for programs: `error.code` in a result's JSON, `quality.reasons[].code`, `why_not_code` of gains.
-A sentence beside a code is for people, and may change; … stands for what is known only when it happens.
+Stable names for programs: `error.code` in a result's JSON, `quality.reasons[].code`, `why_not_code`
+of gains. A sentence beside a code is for people, and may change; … is what is known only when
+it happens.
 This page is made from the source (`python -m tests.house.codes > docs/codes.md`).
 """
 _LONGEST = 150  # characters of a sentence

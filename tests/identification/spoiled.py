@@ -21,7 +21,8 @@ def relay_tests(
     cycle: float = 0.001,
     periods: int = 6,
 ) -> Record:
-    """Relay tests from rest on `bench` with options, sampled at `cycle`, command delayed by 2 ms."""
+    """Relay tests from rest on `bench` with options, sampled at `cycle`,
+    command delayed by 2 ms."""
     axis = configured("bench", options or {})
     plant, now, in_force = axis.build(), 0.0, 0.0
     pending: list[tuple[float, float]] = []

@@ -21,14 +21,18 @@ J, F, D1, EPS = 1e-3, 0.1, 0.18, 0.05
 
 
 def test_two_parabolic_limit_cycles_give_the_friction_of_their_closed_form() -> None:
-    """method.md 3 on the rigid axis of tests/identification/axis.py: f, J and no dead time, exactly."""
+    """method.md 3 on the rigid axis of tests/identification/axis.py.
+
+    F, J and no dead time, exactly.
+    """
     pair_of = matched(J, F, D1, EPS, 0.33)
     found = []
     for cycle in pair_of:
         step = cycle.period / 200
         time, position, command = cycle.sample(step, 8)
         record = Record.of(time, position, time - step, command, 1e-7)
-        # the closed form knows the reversals: half a period apart, the first at phase 1/2 of `sample`
+        # the closed form knows the reversals: half a period apart, the first at phase 1/2 of
+        # `sample`
         at = (0.5 - 0.123) * cycle.period + cycle.period / 2 * np.arange(15)
         # the switchings, too: at ε after the reversal, not at a sample
         known = exact_switchings(cycle, record)
@@ -98,7 +102,10 @@ def oscillate(plant: CompliantPlant, period: float, amplitudes: tuple[float, ...
 
 
 def test_a_resonant_axis_has_its_friction_where_no_rigid_model_has() -> None:
-    """Motor and load on a spring at 12 Hz, oscillated at 5 Hz: the load is a part of G and drops out."""
+    """Motor and load on a spring at 12 Hz, oscillated at 5 Hz.
+
+    The load is a part of G and drops out.
+    """
     p = CompliantParameters(1e-3, 1e-3, Dry(0.1, 0.1), resonance=12.0, ratio=1.0, damping=0.1)
     record = oscillate(CompliantPlant(p), 0.2, (0.25, 0.45))
     known = kinematics(record)

@@ -105,7 +105,10 @@ def test_one_amplitude_alone_shows_in_the_condition() -> None:
 
 
 def test_a_stribeck_like_axis_shows_in_the_residual() -> None:
-    """The same record with a friction that is no Coulomb friction: the torque is bent afterwards."""
+    """The same record with a friction that is no Coulomb friction.
+
+    The torque is bent afterwards.
+    """
     good = record()
     speed = np.gradient(good.position, good.time)
     bent = good.command + 0.08 * np.tanh(speed) ** 3

@@ -1,4 +1,5 @@
-"""A point of the plant read from oscillations with friction, against the plant that was simulated."""
+"""A point of the plant read from oscillations with friction,
+against the plant that was simulated."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ J, F, TAU, CYCLE = 1e-3, 0.1, 0.002, 0.001
 
 
 def oscillate(viscous: float, stretches: list[tuple[float, float, float]]) -> Record:
-    """Square waves of (amplitude, period, duration) one after the other, delayed by TAU, from rest."""
+    """Square waves of (amplitude, period, duration) one after the other, delayed by TAU,
+    from rest."""
     plant = Plant(PlantParameters(J, viscous, F, F))
     rows, now, command = [], 0.0, 0.0
     commands = [0.0] * round(TAU / CYCLE)

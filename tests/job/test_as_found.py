@@ -1,4 +1,7 @@
-"""What stays in the drive: nothing that was not proved, nothing half restored, nothing stored twice."""
+"""What stays in the drive.
+
+Nothing that was not proved, nothing half restored, nothing stored twice.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,8 @@ KNOWN = load_profile("virtual-modbus").parameters
 
 @pytest.fixture
 def link(serve: Serve) -> str:
-    """A drive that keeps its RAM from one connection to the next, with friction already in its memory."""
+    """A drive that keeps its RAM from one connection to the next,
+    with friction already in its memory."""
     made = serve("bench", "--modbus-tcp", "127.0.0.1:0", "--clock", "step")[0]
     drive = open_drive(axis_of(made))
     drive.write("coulomb_positive", 20)
@@ -75,7 +79,8 @@ def open_parameters() -> set[str]:
         return {i.parameter for i in journal.intents(run, open_only=True)}
 
 
-# -- commission ---------------------------------------------------------------------------------------
+# -- commission
+# ---------------------------------------------------------------------------------------
 
 
 def test_what_is_proved_is_stored_once_and_not_before(
@@ -265,7 +270,8 @@ def test_a_drive_whose_compensation_cannot_be_seen_at_work_gets_nothing_unproved
     drive.close()
 
 
-# -- verify alone -------------------------------------------------------------------------------------
+# -- verify alone
+# -------------------------------------------------------------------------------------
 
 
 def test_gains_in_the_memory_are_not_forgotten_when_the_compensation_does_not_help(
@@ -331,7 +337,8 @@ def test_a_store_whose_answer_is_lost_is_told_to_be_doubtful(
     assert values(link) == stored(tmp_path) == FOUND
 
 
-# -- restore ------------------------------------------------------------------------------------------
+# -- restore
+# ------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -472,7 +479,8 @@ def test_the_lock_on_other_masters_is_not_stored(
     assert locked == [3000, 3000]
 
 
-# -- a Ctrl-C at any moment ---------------------------------------------------------------------------
+# -- a Ctrl-C at any moment
+# ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("command", ["identify", "commission"])

@@ -57,13 +57,15 @@ CASES = {
         "tworelay, at a limit of the experiment",
     ),
     "rejected": Case(
-        ("identify", "virtual://bench?coulomb=2.5"), 6, "rejected", "rejected", "at rest and off", None
+        ("identify", "virtual://bench?coulomb=2.5"), 6, "rejected", "rejected", "at rest and off",
+        None
     ),
     "refused": Case(
         ("identify", "virtual://bench?load=0.2"), 3, "refused", None, "not moved", None
     ),
     "no link": Case(
-        ("identify", "modbus-tcp://127.0.0.1:1?unit=1", "--travel", "1"), 4, "failed", None, "not moved",
+        ("identify", "modbus-tcp://127.0.0.1:1?unit=1", "--travel", "1"), 4, "failed", None,
+        "not moved",
         "the link",
     ),
     "Ctrl-C": Case(
@@ -79,7 +81,8 @@ CASES = {
         {"compensation": "of this run", "stored": True},
     ),
     "does not help": Case(
-        ("commission", "virtual://mx106", "--cycle", "0.008"), 8, "failed", "good", "at rest and off",
+        ("commission", "virtual://mx106", "--cycle", "0.008"), 8, "failed", "good",
+        "at rest and off",
         None,
     ),
 }  # fmt: skip
@@ -110,7 +113,8 @@ def test_a_job_ends_with_what_is_true(name: str, tworelay: Tworelay, tmp_path: P
     assert (result["status"], result["quality"]["verdict"]) == (case.status, case.verdict)
     begun = result["run"] is not None
     assert result["ending"] == {
-        "axis": case.axis, "settings": BACK if begun else None, "drive": case.drive if begun else None,
+        "axis": case.axis, "settings": BACK if begun else None,
+        "drive": case.drive if begun else None,
         "said_by": case.said_by,
     }  # fmt: skip
     line = told(done.stdout)
@@ -220,7 +224,8 @@ def test_the_mean_of_the_repeats_is_what_is_shown_and_proposed(
     """Figures of one run from one source: with a noisy link each repeat finds another number."""
     target = tmp_path / "run.json"
     done = tworelay(
-        "identify", "virtual://bench?stamp=0.00002&encoder=8000", "--repeat", "4", "--fraction", "1", "--yes",
+        "identify", "virtual://bench?stamp=0.00002&encoder=8000", "--repeat", "4", "--fraction",
+        "1", "--yes",
         "--json", str(target),
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -308,7 +313,8 @@ def test_a_proof_that_failed_is_not_shown_as_finished(tworelay: Tworelay) -> Non
     assert "as found" in history
 
 
-# -- what is in RAM and what is in the memory -------------------------------------------------------
+# -- what is in RAM and what is in the memory
+# -------------------------------------------------------
 
 
 @pytest.fixture
@@ -339,7 +345,8 @@ def follows(errors: list[float]) -> Callable[..., tuple[float, Any]]:
 def test_a_signal_in_the_store_undoes_nothing_of_what_is_decided(
     link: str, tworelay: Tworelay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """85 % is stored, then a proof finds that 50 % is best, and Ctrl-C comes while that is stored."""
+    """85 % is stored, then a proof finds that 50 % is best,
+    and Ctrl-C comes while that is stored."""
     assert tworelay("identify", link, *BASE).returncode == 0
     assert tworelay("apply", "last", "--yes").returncode == 0
     assert in_ram(link) == in_memory(tmp_path) == [85, 85]
@@ -518,7 +525,8 @@ def test_a_stop_that_reaches_nothing_says_what_that_means(tworelay: Tworelay) ->
     ("one", "other", "same"),
     [
         ("modbus-tcp://127.0.0.1:1502?unit=1", "modbus-tcp://localhost:1502", True),
-        ("modbus-tcp://127.0.0.1:1502?unit=1", "modbus-tcp://127.0.0.1:1502?unit=1&timeout=2", True),
+        ("modbus-tcp://127.0.0.1:1502?unit=1", "modbus-tcp://127.0.0.1:1502?unit=1&timeout=2",
+        True),
         ("modbus-tcp://127.0.0.1:1502?unit=1", "modbus-tcp://127.0.0.1:1502?unit=2", False),
         ("modbus-tcp://127.0.0.1:1502", "modbus-rtu-tcp://127.0.0.1:1502", True),
         ("canopen://socketcan/can0?node=5", "canopen://socketcan/can0?node=5&sync=bus", True),
@@ -532,7 +540,8 @@ def test_one_drive_by_two_spellings_of_its_link(one: str, other: str, same: bool
     assert same_place(other, one) is same
 
 
-# -- one drive, several runs ------------------------------------------------------------------------
+# -- one drive, several runs
+# ------------------------------------------------------------------------
 
 
 def measured(tworelay: Tworelay, link: str, fraction: str) -> str:
@@ -569,7 +578,10 @@ def test_what_another_run_has_stored_is_known(
 def test_a_restore_stores_what_another_run_has_left_in_the_memory(
     link: str, tworelay: Tworelay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The first one stored nothing; the second stored, and its way back stores the first one's values."""
+    """The first one stored nothing.
+
+    The second stored, and its way back stores the first one's values.
+    """
     first = measured(tworelay, link, "0.85")
     with monkeypatch.context() as broken:
         broken.setattr(ProfiledDrive, "store", lambda drive: (_ for _ in ()).throw(LinkLost("no")))

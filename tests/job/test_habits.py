@@ -1,4 +1,7 @@
-"""Habits of real drives: the job is done with the numbers of one without, or the way out is named."""
+"""Habits of real drives.
+
+The job is done with the numbers of one without, or the way out is named.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,10 @@ def served(serve: Serve, *habits: str) -> str:
 def test_in_whatever_a_drive_counts_the_axis_is_the_same(
     serve: Serve, tworelay: Tworelay, habit: str
 ) -> None:
-    """608Fh is the encoder; what a position unit is, 6091h, 6092h and 6093h say, and 607Eh which way."""
+    """608Fh is the encoder.
+
+    What a position unit is, 6091h, 6092h and 6093h say, and 607Eh which way.
+    """
     link = served(serve, *habit.split(" "))
     done = tworelay("identify", link, "--profile", "cia402", *QUICK, "--points", "--json", "-")
     assert done.returncode == 0, done.stderr
@@ -89,7 +95,10 @@ def test_a_counter_that_wraps_is_followed(serve: Serve, tworelay: Tworelay, habi
 def test_the_proof_goes_where_it_is_told_in_whatever_the_drive_counts(
     serve: Serve, tworelay: Tworelay, habit: str
 ) -> None:
-    """In position mode: done, or a target beyond the counter's end is refused by name, and all put back."""
+    """In position mode.
+
+    Done, or a target beyond the counter's end is refused by name, and all put back.
+    """
     words = [word for one in habit.split(" ") for word in ("--habit", one)]
     link = serve("bench", *WIRES["socketcand"], "--clock", "step", *words)[0]
     done = tworelay("commission", link, *QUICK)
@@ -157,7 +166,10 @@ def test_doctor_finds_a_node_where_identify_does(
 def test_the_proof_of_the_watchdog_is_told_with_what_the_drive_said(
     serve: Serve, tworelay: Tworelay
 ) -> None:
-    """Its entry in the drive's error history is ours: the technician reads it before a reset erases it."""
+    """Its entry in the drive's error history is ours.
+
+    The technician reads it before a reset erases it.
+    """
     link = served(serve, "slow-reset")
     done = tworelay("identify", link, "--profile", "cia402", *QUICK)
     assert "the drive noticed it, by itself:" in done.stdout

@@ -87,7 +87,8 @@ def test_who_stopped_an_axis_is_named() -> None:
 def test_a_job_that_tworelay_stop_ends_says_so(serve: Serve, tworelay: Tworelay) -> None:
     link = serve("bench", *WIRES["modbus-tcp"])[0]
     job = subprocess.Popen(
-        [sys.executable, "-m", "commissioning", "identify", link, "--travel", "20", "--cycle", "0.01",
+        [sys.executable, "-m", "commissioning", "identify", link, "--travel", "20", "--cycle",
+        "0.01",
          "--yes"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip

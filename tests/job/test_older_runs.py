@@ -1,8 +1,10 @@
-"""Runs of an older version, cut off in the middle: stopped and restored by the profile that lies in them.
+"""Runs of an older version, cut off in the middle.
 
-In tests/recordings: what version 0.1.0 had written at commit 51a2cf0 when it was killed while its axis moved.
-Both profiles are refused today: one has a register by two names, the other's compensation acts in torque mode
-only.
+Stopped and restored by the profile that lies in them.
+
+In tests/recordings: what version 0.1.0 had written at commit 51a2cf0 when it was killed while its
+axis moved. Both profiles are refused today: one has a register by two names, the other's
+compensation acts in torque mode only.
 """
 
 from __future__ import annotations

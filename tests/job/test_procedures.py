@@ -1,4 +1,7 @@
-"""What a profile's procedures say is performed: braking to standstill, and each mode's preparations."""
+"""What a profile's procedures say is performed.
+
+Braking to standstill, and each mode's preparations.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,10 @@ def served(serve: Serve, profile: str, *options: str) -> str:
 
 @pytest.mark.parametrize("profile", [*PROCEDURES, TWO_KEY])
 def test_a_stop_brakes_to_standstill_before_the_energy_goes(serve: Serve, profile: str) -> None:
-    """With the drive's peak torque from v: v² J / 2 (T + f); on friction alone it would be v² J / 2 f."""
+    """With the drive's peak torque from v: v² J / 2 (T + f).
+
+    On friction alone it would be v² J / 2 f.
+    """
     link = served(serve, profile, "--set", f"inertia={INERTIA}")
     drive = open_drive(Axis(link=link, profile=profile, rated_torque=1.0, encoder=131072))
     for name, raw in drive.preparation.settings(Mode.TORQUE).items():
@@ -63,7 +69,8 @@ def test_a_stop_brakes_to_standstill_before_the_energy_goes(serve: Serve, profil
 def test_position_targets_go_to_a_drive_in_position_mode(
     serve: Serve, tworelay: Tworelay, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """[[modes.position]] before is performed, [[modes.torque]] before again, and all is left as found."""
+    """[[modes.position]] before is performed, [[modes.torque]] before again,
+    and all is left as found."""
     link = served(serve, TWO_KEY)
     asked = ("--profile", TWO_KEY, "--travel", "3", "--yes")
     modes: list[tuple[Mode, int]] = []
@@ -113,7 +120,8 @@ def test_a_killed_job_leaves_the_keys_in_the_journal(serve: Serve, tworelay: Two
     assert found == [(0, 85, "restored")]
 
 
-# -- positions are checked by the host ----------------------------------------------------------------
+# -- positions are checked by the host
+# ----------------------------------------------------------------
 
 
 @pytest.fixture

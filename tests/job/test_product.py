@@ -156,7 +156,8 @@ def test_a_refused_run_has_a_report_too(tworelay: Tworelay) -> None:
 
 def test_help_imports_no_heavy_library() -> None:
     code = "import sys; from commissioning.cli import main\ntry: main()\nexcept SystemExit: pass\n"
-    code += "print([m for m in ('numpy','scipy','pydantic','pymodbus','can','rich') if m in sys.modules])"
+    heavy = "numpy", "scipy", "pydantic", "pymodbus", "can", "rich"
+    code += f"print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run(
         [sys.executable, "-c", code, "--help"], capture_output=True, text=True, cwd=ROOT, check=True
     )
@@ -234,7 +235,8 @@ def _check_pcap(path: Path) -> None:
 def _check_candump(path: Path) -> None:
     lines = path.read_text().splitlines()
     assert len(lines) > 1000
-    # as `candump -L` writes them: (seconds.microseconds) interface identifier#data, R for a remote frame
+    # as `candump -L` writes them: (seconds.microseconds) interface identifier#data, R for a remote
+    # frame
     pattern = re.compile(r"\(\d+\.\d{6}\) can0 [0-9A-F]{3}#(([0-9A-F]{2}){0,8}|R)")
     assert all(pattern.fullmatch(line) for line in lines)
 
@@ -266,7 +268,8 @@ def test_the_wheel_has_all_that_it_needs(tmp_path: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(folder)
         assert not [n for n in archive.namelist() if n.startswith(("tests", "benchmarks"))]
-    code = "import commissioning; print(commissioning.__file__); from commissioning.cli import main; main()"
+    code = "import commissioning; print(commissioning.__file__); "
+    code += "from commissioning.cli import main; main()"
     run = subprocess.run(
         [sys.executable, "-c", code, "commission", "virtual://bench", "--yes"],
         capture_output=True, text=True, cwd=tmp_path, check=False,

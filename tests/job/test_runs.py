@@ -1,4 +1,7 @@
-"""Runs as people find them again: by name, in the order in which they came, from wherever they lie."""
+"""Runs as people find them again.
+
+By name, in the order in which they came, from wherever they lie.
+"""
 
 from __future__ import annotations
 
@@ -26,10 +29,12 @@ from tests.command import ROOT
 from tests.conftest import Serve, Tworelay
 from tests.serving import WIRES
 
-# -- names ------------------------------------------------------------------------------------------
+# -- names
+# ------------------------------------------------------------------------------------------
 
 NAMES = (
-    "Presse 7", "Achse-Ž", "a,b", "axis.", "軸 1", "-x", ".hidden", "CON", "x" * 100, "a/b", "50 %", "[red]",
+    "Presse 7", "Achse-Ž", "a,b", "axis.", "軸 1", "-x", ".hidden", "CON", "x" * 100, "a/b", "50 %",
+    "[red]",
 )  # fmt: skip
 
 
@@ -60,8 +65,10 @@ def test_an_axis_is_called_what_people_call_it(
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("x" * 101, "has 101 characters"), ("", "must not be empty"), (" x", "begin or end with a space"),
-        ("a\\nb", "one line of printable characters"), ("a\\u202eb", "one line of printable characters"),
+        ("x" * 101, "has 101 characters"), ("", "must not be empty"), (" x",
+        "begin or end with a space"),
+        ("a\\nb", "one line of printable characters"), ("a\\u202eb",
+        "one line of printable characters"),
     ],
 )  # fmt: skip
 def test_what_is_no_name_is_refused_when_the_file_is_read(
@@ -102,7 +109,8 @@ def test_a_bare_link_is_called_by_what_it_is(link: str, name: str) -> None:
     assert axis_of(link).name == name
 
 
-# -- order ------------------------------------------------------------------------------------------
+# -- order
+# ------------------------------------------------------------------------------------------
 
 
 def test_a_clock_that_was_corrected_backwards_changes_no_order(
@@ -134,7 +142,8 @@ def test_the_last_to_write_is_the_first_to_go_back(tmp_path: Path) -> None:
     with Journal(tmp_path) as journal:
         a, b = (
             journal.begin(
-                axis="x", link="l", profile="p", profile_hash="", serial=serial, context=RunContext("{}")
+                axis="x", link="l", profile="p", profile_hash="", serial=serial,
+                context=RunContext("{}")
             )
             for serial in "12"
         )  # fmt: skip
@@ -145,7 +154,8 @@ def test_the_last_to_write_is_the_first_to_go_back(tmp_path: Path) -> None:
         assert journal.last_written() == a
 
 
-# -- drives that tell no serial number --------------------------------------------------------------
+# -- drives that tell no serial number
+# --------------------------------------------------------------
 
 
 def test_two_drives_without_a_serial_do_not_block_each_other(
@@ -206,7 +216,8 @@ def test_two_demos_on_one_home_are_two_drives() -> None:
         assert "the drive's compensation is of this run, stored" in out
 
 
-# -- what cannot be written is read -----------------------------------------------------------------
+# -- what cannot be written is read
+# -----------------------------------------------------------------
 
 
 @contextlib.contextmanager
@@ -283,7 +294,8 @@ def test_reading_leaves_nothing_where_there_is_nothing(tworelay: Tworelay) -> No
     assert not home().exists()
 
 
-# -- output that goes away --------------------------------------------------------------------------
+# -- output that goes away
+# --------------------------------------------------------------------------
 
 
 @pytest.mark.skipif(os.name == "nt", reason="pipes of POSIX")
@@ -321,7 +333,8 @@ def test_a_job_does_not_end_because_nobody_reads(
     assert run["verdict"] == ("good" if not code else "rejected")
 
 
-# -- the list ---------------------------------------------------------------------------------------
+# -- the list
+# ---------------------------------------------------------------------------------------
 
 
 def test_the_list_says_what_was_found_and_what_is_in_the_drive(tworelay: Tworelay) -> None:

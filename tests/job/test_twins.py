@@ -102,7 +102,10 @@ def test_a_drive_without_a_torque_command_gets_what_a_recording_shows(
 
 
 def recorded_oscillation() -> list[str]:
-    """A virtual bench under a square torque of two amplitudes, by small steps: J a = u - f sign(v) - B v."""
+    """A virtual bench under a square torque of two amplitudes, by small steps.
+
+    J a = u - f sign(v) - B v.
+    """
     rows, y, v, step = [], 0.0, 0.0, 1e-5
     for n in range(200_000):
         t = n * step
@@ -350,7 +353,8 @@ def test_a_drive_that_is_not_set_up_as_its_profile_requires_is_refused(
     )
     path = tmp_path / "a.toml"
     path.write_text(
-        f'link = "{link}"\nprofile = "{mine}"\ntravel = 30.0\nrated_torque = 1.0\nencoder = 131072\n'
+        f'link = "{link}"\nprofile = "{mine}"\ntravel = 30.0\n'
+        "rated_torque = 1.0\nencoder = 131072\n"
     )
     done = tworelay("identify", str(path), "--yes", "--without-watchdog")
     assert done.returncode == 3

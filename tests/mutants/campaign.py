@@ -1,9 +1,9 @@
 """make mutants: change the code that keeps people safe, and see that some test notices.
 
-300 mutants drawn by a fixed seed, and every comparison and every deleted call of the innermost modules.
-A call goes on where the last one ended, for about nine minutes; `.mutants/` keeps what is known. `afresh`
-begins anew; paths of tests that are new, or changed, add what they see, and what lived is tried again.
-The last line is `mutants: N of M tried, K killed, L live`.
+300 mutants drawn by a fixed seed, and every comparison and every deleted call of the innermost
+modules. A call goes on where the last one ended, for about nine minutes; `.mutants/` keeps what is
+known. `afresh` begins anew; paths of tests that are new, or changed, add what they see, and what
+lived is tried again. The last line is `mutants: N of M tried, K killed, L live`.
 """
 
 from __future__ import annotations
@@ -103,7 +103,10 @@ def tests_for(
 
 
 def notice(tree: Path, mutant: Mutant, batches: list[list[str]]) -> str:
-    """Which way a mutant is noticed; '' where it lives. Raises RuntimeError where it is not the mutant."""
+    """Which way a mutant is noticed; '' where it lives.
+
+    Raises RuntimeError where it is not the mutant.
+    """
     path = tree / mutant.file
     original = path.read_text("utf-8")
     for batch in batches:

@@ -25,8 +25,8 @@ _ARITHMETIC: dict[type[ast.operator], tuple[str, str]] = {
 class Mutant:
     """One change: where, of which kind, and the whole source with it.
 
-    `kind` is comparison, call, or other; `at_import`: it stands outside of every function, so that no test
-    is seen to run it.
+    `kind` is comparison, call, or other; `at_import`: it stands outside of every function, so that
+    no test is seen to run it.
     """
 
     file: str

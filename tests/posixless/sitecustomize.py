@@ -1,4 +1,6 @@
-"""Every Python process with this folder in its path is on something like Windows: `sys.platform` says so, and
+"""Every Python process with this folder in its path is on something like Windows.
+
+`sys.platform` says so, and
 what only POSIX has is gone. Libraries are imported before, since they are as they are.
 """
 
@@ -26,12 +28,15 @@ from typing import Any
 GONE = {
     os: (
         "set_blocking", "sched_getscheduler", "sched_setscheduler", "sched_getparam", "sched_param",
-        "SCHED_FIFO", "fork", "forkpty", "openpty", "ttyname", "geteuid", "getuid", "getgid", "getpgid",
-        "killpg", "setsid", "mkfifo", "O_NOFOLLOW", "getloadavg", "sched_yield", "nice", "getpriority",
+        "SCHED_FIFO", "fork", "forkpty", "openpty", "ttyname", "geteuid", "getuid", "getgid",
+        "getpgid",
+        "killpg", "setsid", "mkfifo", "O_NOFOLLOW", "getloadavg", "sched_yield", "nice",
+        "getpriority",
         "uname", "chown",
     ),
     signal: (
-        "SIGHUP", "SIGALRM", "SIGUSR1", "SIGUSR2", "SIGSTOP", "SIGCONT", "setitimer", "alarm", "pause",
+        "SIGHUP", "SIGALRM", "SIGUSR1", "SIGUSR2", "SIGSTOP", "SIGCONT", "setitimer", "alarm",
+        "pause",
         "pthread_kill", "sigwait",
     ),
 }  # fmt: skip
@@ -78,8 +83,10 @@ class _Kernel:
 
 
 LIBRARIES = (
-    "click", "rich.console", "rich.progress", "platformdirs", "psutil", "pydantic", "tomlkit", "jinja2",
-    "serial", "serial.tools.list_ports", "can.interfaces.slcan", "can.interfaces.socketcand", "canopen",
+    "click", "rich.console", "rich.progress", "platformdirs", "psutil", "pydantic", "tomlkit",
+    "jinja2",
+    "serial", "serial.tools.list_ports", "can.interfaces.slcan", "can.interfaces.socketcand",
+    "canopen",
     "pymodbus.client", "pymodbus.server", "numpy", "scipy.optimize", "scipy.interpolate",
     "scipy.sparse.linalg", "matplotlib.backends.backend_svg", "matplotlib.figure",
 )  # fmt: skip

@@ -20,7 +20,8 @@ def test_another_reader_finds_the_values(tmp_path: Path) -> None:
     path.write_text(dcf(profile, values, 5), "utf-8")
     found = canopen.import_od(str(path))
     assert found.node_id == 5
-    # 2010h:1 i16, :2 and :3 u16, 2011h:1 u32 (docs/virtual-drive.md); two's complement of -3 is FFFDh
+    # 2010h:1 i16, :2 and :3 u16, 2011h:1 u32 (docs/virtual-drive.md); two's complement of -3 is
+    # FFFDh
     assert [found[0x2010][sub].data_type for sub in (1, 2, 3)] == [3, 6, 6]
     assert [found[0x2010][sub].value for sub in (2, 3)] == [85, 86]
     assert int(found[0x2010][1].value or 0) & 0xFFFF == 0xFFFD

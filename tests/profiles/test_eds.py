@@ -1,4 +1,7 @@
-"""EDS and DCF files as they are out there: what is mended, what is refused, and never a traceback."""
+"""EDS and DCF files as they are out there.
+
+What is mended, what is refused, and never a traceback.
+"""
 
 from __future__ import annotations
 
@@ -112,7 +115,8 @@ def test_a_byte_that_is_not_utf_8_is_read_and_reported_with_its_line() -> None:
     ]
 
 
-# -- every oddity by itself -------------------------------------------------------------------------
+# -- every oddity by itself
+# -------------------------------------------------------------------------
 
 DEVICE = "[DeviceInfo]\nVendorName=ACME\nProductName=D1\nVendorNumber=0x2A\nProductNumber=7\n"
 OBJECT = (
@@ -146,7 +150,8 @@ def parsed(text: str | bytes):  # type: ignore[no-untyped-def]
             "counts 2 objects and lists 1",
         ),
         (
-            f"{DEVICE}[OptionalObjects]\nSupported Objects=0x2\n1=0x6071\n2=0x6099\n[6071]\n{OBJECT}",
+            (f"{DEVICE}[OptionalObjects]\nSupported "
+            f"Objects=0x2\n1=0x6071\n2=0x6099\n[6071]\n{OBJECT}"),
             "object 6099h is listed and not described",
         ),
     ],

@@ -1,4 +1,7 @@
-"""Recordings of real machines, read as a user reads them; they lie beside the project and are not in it."""
+"""Recordings of real machines, read as a user reads them.
+
+They lie beside the project and are not in it.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,10 @@ def analyzed(tworelay: Tworelay, *arguments: str) -> dict[str, Any]:
 
 
 def test_the_emps_benchmark(tworelay: Tworelay) -> None:
-    """Janot, Gautier, Brunot 2019: Fc 20.3935 N, M 95.1089 kg, Fv 203.5034 N.s/m, offset -3.1648 N."""
+    """Janot, Gautier, Brunot 2019.
+
+    Fc 20.3935 N, M 95.1089 kg, Fv 203.5034 N.s/m, offset -3.1648 N.
+    """
     result = analyzed(
         tworelay, str(RECORDINGS / "emps" / "DATA_EMPS.mat"),
         "--time", "t:s", "--position", "qm:m", "--torque", "vir:gtau N",

@@ -27,8 +27,9 @@ PACKAGES = ("commissioning", "drivers", "profiles")
 # to TOML, SQLite, JSON of the journal and of the schema, and foreign libraries
 DOORS = {
     "commissioning/result/codec.py", "commissioning/records.py", "profiles/json_schema.py",
-    "profiles/library.py", "profiles/table.py", "profiles/toml_files.py", "drivers/canopen/wire.py",
-    "drivers/modbus/client.py", "drivers/virtual/serve.py",
+    "profiles/library.py", "profiles/table.py", "profiles/toml_files.py",
+    "drivers/canopen/adapters.py",
+    "drivers/modbus/answers.py", "drivers/modbus/client.py", "drivers/virtual/serve.py",
 }  # fmt: skip
 
 
@@ -97,7 +98,8 @@ def test_interrupted_and_failed_are_apart_from_rejected(name: str, verdict: str 
     ("name", "compensation", "stored"),
     [
         ("good", CompensationState.OF_RUN, True), ("written", CompensationState.OF_RUN, True),
-        ("restored", CompensationState.AS_FOUND, None), ("repeated", CompensationState.AS_FOUND, None),
+        ("restored", CompensationState.AS_FOUND, None), ("repeated", CompensationState.AS_FOUND,
+        None),
         ("unproved", CompensationState.OF_RUN, True),
     ],
 )  # fmt: skip
@@ -133,11 +135,13 @@ def put(value: object, *way: str | int) -> Callable[[Any], None]:
     ("change", "words"),
     [
         (without("axis"), "'axis' must be there"),
-        (put("1", "friction", "coulomb", "value"), "'friction.coulomb.value' must be a valid number"),
+        (put("1", "friction", "coulomb", "value"),
+        "'friction.coulomb.value' must be a valid number"),
         (put(0.0, "critical_point", "naive", "gain"), "must be greater than 0"),
         (put("perhaps", "status"), "'status' must be 'completed', 'stopped'"),
         (put(2**63, "compensation", 0, "new_raw"), "must be less than 9223372036854775808"),
-        (put([], "verification", "steps"), "'verification.steps' Tuple should have at least 1 item"),
+        (put([], "verification", "steps"),
+        "'verification.steps' Tuple should have at least 1 item"),
         (put(None, "tuning", 0, "ms"), "'tuning.0' lacks what the gains are worth"),
         (put([1.0], "friction", "curve", "speed"), "'friction.curve' lacks columns of one length"),
         (put("tworelay.run/3", "schema"), "is no result of tworelay"),

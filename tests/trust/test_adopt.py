@@ -1,4 +1,7 @@
-"""A run of another computer is data: read by anybody, acted on only once it was taken in and compared."""
+"""A run of another computer is data.
+
+Read by anybody, acted on only once it was taken in and compared.
+"""
 
 from __future__ import annotations
 
@@ -81,7 +84,8 @@ law = "none"
 
 
 def hostile(folder: Path) -> str:
-    """Its profile renames mode, torque and controlword, its journal holds what energises the drive."""
+    """Its profile renames mode, torque and controlword,
+    its journal holds what energises the drive."""
     parameters = tomllib.loads(source_text("virtual-modbus"))["parameters"]
     renamed = {
         "torque_target": ("friction_1", 0), "told": ("statusword", 0),
@@ -472,7 +476,8 @@ def test_no_link_is_followed(tworelay: Tworelay, exported: Path, tmp_path: Path,
     (exported / name).unlink()
     (exported / name).symlink_to(mine)
     sent = str(exported)
-    for command in (["report", sent], ["plot", "loci", sent], ["adopt", sent, "--yes"], ["tune", sent],
+    for command in (["report", sent], ["plot", "loci", sent], ["adopt", sent, "--yes"], ["tune",
+    sent],
                     ["export", sent, str(tmp_path / "out")]):  # fmt: skip
         done = tworelay(*command)
         assert done.returncode in (0, 2, 3), done.stderr

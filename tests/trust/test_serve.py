@@ -1,4 +1,5 @@
-"""A virtual drive ends when it is told to, whatever its clients do, and remembers little of what they say."""
+"""A virtual drive ends when it is told to, whatever its clients do,
+and remembers little of what they say."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""What others wrote acts on no terminal: an escape in any field is shown as one on every way out."""
+"""What others wrote acts on no terminal.
+
+An escape in any field is shown as one on every way out.
+"""
 
 from __future__ import annotations
 
@@ -123,7 +126,8 @@ def test_an_escape_in_every_field_of_a_run(tworelay: Tworelay, sent: Path, tmp_p
     out = tmp_path / "out"
     for words in (
         ["report", str(sent)], ["plot", "loci", str(sent)], ["export", str(sent), str(out)],
-        ["tune", str(sent)], ["apply", str(sent), "--yes"], ["adopt", str(sent)], ["restore", str(sent)],
+        ["tune", str(sent)], ["apply", str(sent), "--yes"], ["adopt", str(sent)], ["restore",
+        str(sent)],
     ):  # fmt: skip
         done = tworelay(*words, environment=other)
         assert not acts(done.stdout + done.stderr), words
@@ -161,9 +165,11 @@ def test_an_escape_in_what_is_typed(tworelay: Tworelay, tmp_path: Path) -> None:
     for words in (
         [EVIL], ["identify", EVIL], ["identify", f"virtual://{EVIL}"],
         ["identify", "virtual://bench", f"--{EVIL}"],
-        ["identify", "virtual://bench", "--profile", EVIL], ["identify", f"{EVIL}.toml"], ["report", EVIL],
+        ["identify", "virtual://bench", "--profile", EVIL], ["identify", f"{EVIL}.toml"],
+        ["report", EVIL],
         ["restore", EVIL], ["profile", "show", EVIL], ["profile", "check", f"{EVIL}.toml"],
-        ["virtual", "serve", EVIL], ["scan", f"modbus-tcp://{EVIL}"], ["export", EVIL, str(tmp_path)],
+        ["virtual", "serve", EVIL], ["scan", f"modbus-tcp://{EVIL}"], ["export", EVIL,
+        str(tmp_path)],
         ["virtual", "serve", "bench", "--modbus-tcp", EVIL], ["adopt", EVIL], ["doctor", f"canopen://{EVIL}"],
     ):  # fmt: skip
         done = tworelay(*words)
@@ -196,7 +202,8 @@ def test_an_escape_in_what_a_drive_says(
     monkeypatch.setattr(Client, "identification", lambda client: {0: EVIL, 1: EVIL, 2: EVIL})
     link = serve("bench", "--modbus-tcp", "127.0.0.1:0", "--clock", "step")[0]
     for words in (
-        ["identify", link, "--yes"], ["scan", link.partition("?")[0], "--units", "1"], ["doctor", link],
+        ["identify", link, "--yes"], ["scan", link.partition("?")[0], "--units", "1"], ["doctor",
+        link],
         ["stop", link],
     ):  # fmt: skip
         done = tworelay(*words)
@@ -215,7 +222,8 @@ def test_a_full_device_does_not_undo_a_job_that_was_done(tmp_path: Path) -> None
         with Path("/dev/full").open("w") as full:
             cut = subprocess.run(
                 [sys.executable, "-m", "commissioning", *more], stdout=full, stderr=subprocess.PIPE,
-                cwd=ROOT, env={**os.environ, **home}, stdin=subprocess.DEVNULL, check=False, text=True,
+                cwd=ROOT, env={**os.environ, **home}, stdin=subprocess.DEVNULL, check=False,
+                text=True,
             )  # fmt: skip
         assert cut.returncode == 0, cut.stderr
         assert "standard output takes no more: No space left on device" in cut.stderr

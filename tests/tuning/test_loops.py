@@ -276,7 +276,10 @@ def test_commands_come_late_by_the_dead_time() -> None:
 def test_a_slow_loop_in_a_fast_drive_keeps_its_margins(
     period: float, gains: Gains, margin: float, sensitivity: float
 ) -> None:
-    """B/J = 2 rad/s and no dead time: an integrator with one lag, whatever the drive's period is."""
+    """B/J = 2 rad/s and no dead time.
+
+    An integrator with one lag, whatever the drive's period is.
+    """
     found = margins(LoopPlant(J, 2e-3, 0.0, period), gains)
     assert found.stable
     assert found.phase == pytest.approx(margin, abs=0.3)

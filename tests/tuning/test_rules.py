@@ -1,4 +1,5 @@
-"""Tuning rules against their printed numbers, and against the property that each one is made for."""
+"""Tuning rules against their printed numbers,
+and against the property that each one is made for."""
 
 from __future__ import annotations
 
@@ -75,7 +76,10 @@ def test_a_point_that_no_pid_can_turn_to_the_margin_is_refused() -> None:
 def test_landau_voda_is_the_symmetrical_optimum_on_an_integrator_with_one_lag(
     k: float, lag: float
 ) -> None:
-    """K/(s(1+sT)) is at −135° at ω = 1/T with |G| = K·T/√2; the optimum is Kc = 1/(2KT), Ti = 4T."""
+    """K/(s(1+sT)) is at −135° at ω = 1/T with |G| = K·T/√2.
+
+    The optimum is Kc = 1/(2KT), Ti = 4T.
+    """
     gains = landau_voda_pi(k * lag / sqrt(2), 1 / lag)
     assert gains.gain == pytest.approx(1 / (2 * k * lag))
     assert gains.integral_time == pytest.approx(4 * lag)

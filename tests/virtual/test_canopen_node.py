@@ -163,7 +163,10 @@ def test_malformed_requests_get_no_answer(node: CanopenNode, data: bytes) -> Non
 
 
 def test_a_block_upload_with_a_segment_lost_and_sent_again(node: CanopenNode) -> None:
-    """CiA 301, 7.2.4.3.14: the client confirms the last segment in order, and gets the rest again."""
+    """CiA 301, 7.2.4.3.14.
+
+    The client confirms the last segment in order, and gets the rest again.
+    """
 
     def ask(request: str) -> list[str]:
         answers = node.receive(0x605, bytes.fromhex(request))

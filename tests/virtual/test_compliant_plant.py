@@ -39,7 +39,10 @@ def test_coulomb_friction_is_that_of_the_closed_form(
 
 
 def test_stribeck_friction_against_an_independent_integration() -> None:
-    """From rest under a constant torque, then braked through zero: solve_ivp with its own events."""
+    """From rest under a constant torque, then braked through zero.
+
+    Solve_ivp with its own events.
+    """
     j, b, fc, fs, vs = 2e-6, 3e-5, 2.6e-3, 3.1e-3, 3.5
     plant = CompliantPlant(CompliantParameters(j, b, Dry(fc, fs, vs)))
     plant.advance(0.02, 6e-3)
@@ -69,7 +72,10 @@ def test_stribeck_friction_against_an_independent_integration() -> None:
 
 
 def test_an_axis_that_barely_breaks_away_comes_to_rest_again() -> None:
-    """The torque is above the breakaway level for a part of a step only: behind a lag, on its way back."""
+    """The torque is above the breakaway level for a part of a step only.
+
+    Behind a lag, on its way back.
+    """
     p = CompliantParameters(2.2e-6, 3e-5, Dry(2.6e-3, 3.1e-3, 3.5), load=0.36e-3, lag=5e-4)
     plant = CompliantPlant(p)
     for n in range(400):
@@ -121,7 +127,8 @@ def test_the_resonance_is_that_of_two_masses_on_a_spring() -> None:
 
 
 def test_backlash_is_lost_motion() -> None:
-    """With the load held by its own friction the motor runs free for the play, then meets the spring."""
+    """With the load held by its own friction the motor runs free for the play,
+    then meets the spring."""
     p = CompliantParameters(
         2e-3, 0.0, Dry(0.0, 0.0), resonance=50.0, ratio=1.0, backlash=0.1, load_coulomb=1.0
     )
@@ -155,7 +162,8 @@ def test_cogging_holds_the_axis_in_its_valleys() -> None:
     assert 2 * pi / period == pytest.approx(sqrt(2 * pi * t / (pitch * j)), rel=5e-3)
 
 
-# -- LuGre: Canudas de Wit, Olsson, Astrom, Lischinsky 1995, Table I --------------------------------
+# -- LuGre: Canudas de Wit, Olsson, Astrom, Lischinsky 1995, Table I
+# --------------------------------
 
 S0, S1, S2, FC, FS, VS = 1e5, sqrt(1e5), 0.4, 1.0, 1.5, 1e-3
 
@@ -165,7 +173,10 @@ def lugre() -> CompliantPlant:
 
 
 def test_lugre_is_a_spring_before_it_slides() -> None:
-    """III.A: pre-sliding displacement; a force below Fs moves it by about F/σ0, and it springs back."""
+    """III.A: pre-sliding displacement.
+
+    A force below Fs moves it by about F/σ0, and it springs back.
+    """
     plant = lugre()
     for n in range(1000):
         plant.advance(1e-3, 0.9 * n / 1000)
@@ -203,7 +214,10 @@ def test_lugre_lags_behind_the_velocity() -> None:
 
 
 def test_lugre_sticks_and_slips_when_it_is_pulled_by_a_spring() -> None:
-    """III.D: a spring of 2 N/m pulled at 0.1 m/s: it rests, then jumps, with a force up to about Fs."""
+    """III.D: a spring of 2 N/m pulled at 0.1 m/s.
+
+    It rests, then jumps, with a force up to about Fs.
+    """
     plant = lugre()
     forces, speeds, step = [], [], 1e-3
     for n in range(30_000):

@@ -266,7 +266,10 @@ def test_the_encoder_counts_a_turn_as_it_says() -> None:
 
 
 def test_gains_that_are_set_are_those_of_its_loops_and_a_stop_has_its_own() -> None:
-    """Position P over velocity PI: a velocity gain of 0 moves nothing, and the stop still brakes."""
+    """Position P over velocity PI.
+
+    A velocity gain of 0 moves nothing, and the stop still brakes.
+    """
     firmware = enable(drive(coulomb="0"), mode=8)
     firmware.write("position_target", 2000)
     firmware.advance(200 * MS)

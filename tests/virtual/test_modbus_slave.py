@@ -88,7 +88,10 @@ def echo(pdu: bytes) -> bytes:
 
 @pytest.mark.parametrize("cut", range(1, 24))
 def test_pipelined_requests_are_answered_one_by_one_however_they_come(cut: int) -> None:
-    """Messaging on TCP/IP V1.0b, 3.1.3; the middle one is of another protocol, and is passed over."""
+    """Messaging on TCP/IP V1.0b, 3.1.3.
+
+    The middle one is of another protocol, and is passed over.
+    """
     stream = bytes.fromhex(
         "00 01 00 00 00 03 01 03 AA 00 02 00 09 00 03 01 03 BB 00 03 00 00 00 03 FF 03 CC"
     )

@@ -86,7 +86,8 @@ def test_the_period_of_sync_is_found_although_this_computer_stalls(stalled: rang
     )
 
 
-# -- CiA 301, 7.2.4.3 --------------------------------------------------------------------------------
+# -- CiA 301, 7.2.4.3
+# --------------------------------------------------------------------------------
 
 
 def test_an_expedited_upload() -> None:
@@ -162,7 +163,8 @@ def test_a_node_without_block_transfer_is_read_in_segments() -> None:
     assert node.upload_large(0x1021, 0) == b"abcdefgh"
 
 
-# -- peers that are not as they should be -------------------------------------------------------------
+# -- peers that are not as they should be
+# -------------------------------------------------------------
 
 
 def test_the_answer_of_another_node_is_not_ours() -> None:
@@ -229,7 +231,8 @@ def test_a_node_that_answers_nonsense_is_no_traceback() -> None:
     ("code", "busy"),
     [
         ("20 00 00 08", True), ("21 00 00 08", True), ("22 00 00 08", True),
-        ("23 00 00 08", False), ("00 00 02 06", False), ("30 00 09 06", False), ("00 00 04 05", False),
+        ("23 00 00 08", False), ("00 00 02 06", False), ("30 00 09 06", False), ("00 00 04 05",
+        False),
     ],
 )  # fmt: skip
 def test_aborts_that_may_be_otherwise_a_little_later(code: str, busy: bool) -> None:
@@ -255,7 +258,8 @@ def test_a_node_that_stores_may_take_longer_to_answer() -> None:
         node.upload(0x6041, 0)
 
 
-# -- the cycle ----------------------------------------------------------------------------------------
+# -- the cycle
+# ----------------------------------------------------------------------------------------
 
 
 def running(
@@ -309,7 +313,8 @@ def test_the_cycle_is_rpdo_sync_tpdo() -> None:
         "2F 00 16 00 00 00 00 00", "23 00 16 01 10 00 40 60", "23 00 16 02 10 00 71 60",
         "23 00 16 03 20 00 7A 60", "2F 00 16 00 03 00 00 00",
     ]  # fmt: skip
-    # a producer heartbeat of 100 ms is asked for, the node is started, and hears ours before it is enabled
+    # a producer heartbeat of 100 ms is asked for, the node is started, and hears ours before it is
+    # enabled
     assert (0x605, "2B 17 10 00 64 00 00 00") in peer.sent
     assert peer.sent[-2:] == [(0x000, "01 05"), (0x77F, "05")]
     del peer.sent[:]
@@ -481,7 +486,10 @@ def test_a_stop_that_the_node_has_no_time_for_is_known_from_its_answer() -> None
 
 
 def test_a_mapping_whose_count_alone_can_be_written_is_left_whole() -> None:
-    """Some drives take 1600h:00 = 0 and refuse the entries: what lies there serves, or is counted again."""
+    """Some drives take 1600h:00 = 0 and refuse the entries.
+
+    What lies there serves, or is counted again.
+    """
     there = {
         (0x1600, 0): 3,
         (0x1600, 1): 0x607A0020,
@@ -511,7 +519,8 @@ def test_a_mapping_that_carries_what_the_job_sets_is_refused() -> None:
         running(there, read_only={(0x1600, sub) for sub in range(4)})
 
 
-# -- the adapter ---------------------------------------------------------------------------------------
+# -- the adapter
+# ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -588,7 +597,10 @@ def test_one_garbled_line_does_not_end_the_reception(garbage: bytes) -> None:
 
 
 def test_a_pdo_goes_back_off_first_and_on_last() -> None:
-    """CiA 301, 7.5.2.36: a mapping is changed while the PDO is off, and has no entries meanwhile."""
+    """CiA 301, 7.5.2.36.
+
+    A mapping is changed while the PDO is off, and has no entries meanwhile.
+    """
     bus, peer, _ = running()
     del peer.sent[:]
     old = {"1400h:01": 0x205, "1400h:02": 254, "1600h:00": 1, "1600h:01": 0x60400010}
@@ -602,7 +614,10 @@ def test_a_pdo_goes_back_off_first_and_on_last() -> None:
 
 
 def test_entries_that_do_not_count_go_back_too() -> None:
-    """Ours lie in 1600h:02 and 03; what was there comes back as soon as somebody counts them again."""
+    """Ours lie in 1600h:02 and 03.
+
+    What was there comes back as soon as somebody counts them again.
+    """
     left = {(0x1600, 0): 1, (0x1600, 1): 0x60400010, (0x1600, 2): 0x60600008, (0x1600, 3): 0}
     bus, peer, _ = running(left)
     old = {name: before for name, (before, _) in peer.changes.items()}

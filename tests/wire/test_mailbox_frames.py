@@ -21,7 +21,10 @@ DONE, FAILED, BUSY = 0x10, 0x03, None
 
 
 class Drive:
-    """Registers 500 to 513; what is executed ends with `status`, and leaves `length` bytes of `data`."""
+    """Registers 500 to 513.
+
+    What is executed ends with `status`, and leaves `length` bytes of `data`.
+    """
 
     def __init__(self) -> None:
         self._listener = socket.create_server(("127.0.0.1", 0))

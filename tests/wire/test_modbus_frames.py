@@ -188,7 +188,10 @@ def test_bits_leave_the_rest_of_their_register_alone(function: int) -> None:
 
 @pytest.mark.parametrize("code", range(1, 12))
 def test_acknowledge_and_busy_are_not_yet_and_any_other_exception_is_no(code: int) -> None:
-    """Application protocol 7: acknowledge, server busy; gateway's path unavailable, its target silent."""
+    """Application protocol 7: acknowledge, server busy.
+
+    Gateway's path unavailable, its target silent.
+    """
     request = "00 01 00 00 00 06 01 03 03 00 00 02"
     with peer([(request, f"00 01 00 00 00 03 01 83 {code:02X}")]) as (port, _):
         client = Client(TcpWire("127.0.0.1", port), 1, 1.0)

@@ -85,7 +85,8 @@ def _openssl(*arguments: str) -> None:
     subprocess.run(["openssl", *arguments], check=True, capture_output=True)
 
 
-OF_OLD = {  # extensions of the drive's certificate and of its authority's: what strict verification says
+# extensions of the drive's certificate and of its authority's: what strict verification says
+OF_OLD = {
     "no key identifier": ("", "Missing Authority Key Identifier"),
     "basic constraints that are not critical": (
         "basicConstraints=CA:TRUE\nkeyUsage=keyCertSign\nsubjectKeyIdentifier=hash\n",
@@ -99,20 +100,25 @@ def test_a_certificate_of_an_old_kind_is_refused_on_every_python_with_the_remedy
     tmp_path: Path, case: str
 ) -> None:
     extensions, words = OF_OLD[case]
-    good = "basicConstraints=critical,CA:TRUE\nkeyUsage=critical,keyCertSign\nsubjectKeyIdentifier=hash\n"
+    good = "basicConstraints=critical,CA:TRUE\nkeyUsage=critical,keyCertSign\n"
+    good += "subjectKeyIdentifier=hash\n"
     (tmp_path / "ca.cnf").write_text(
-        f"[req]\ndistinguished_name=n\nprompt=no\nx509_extensions=e\n[n]\nCN=old\n[e]\n{extensions or good}"
+        f"[req]\ndistinguished_name=n\nprompt=no\nx509_extensions=e\n[n]\nCN=old\n[e]\n"
+        f"{extensions or good}"
     )
     leaf = "subjectAltName=IP:127.0.0.1\nsubjectKeyIdentifier=none\n" + (
         "authorityKeyIdentifier=keyid\n" if extensions else "authorityKeyIdentifier=none\n"
     )
     (tmp_path / "leaf.cnf").write_text(leaf)
     at = str(tmp_path)
-    _openssl("req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-config", f"{at}/ca.cnf",
+    _openssl("req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-config",
+    f"{at}/ca.cnf",
              "-keyout", f"{at}/ca.key", "-out", f"{at}/ca.pem")  # fmt: skip
-    _openssl("req", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=drive", "-keyout", f"{at}/drive.key",
+    _openssl("req", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=drive", "-keyout",
+    f"{at}/drive.key",
              "-out", f"{at}/drive.csr")  # fmt: skip
-    _openssl("x509", "-req", "-in", f"{at}/drive.csr", "-CA", f"{at}/ca.pem", "-CAkey", f"{at}/ca.key",
+    _openssl("x509", "-req", "-in", f"{at}/drive.csr", "-CA", f"{at}/ca.pem", "-CAkey",
+    f"{at}/ca.key",
              "-set_serial", "7", "-days", "2", "-extfile", f"{at}/leaf.cnf",
              "-out", f"{at}/drive.pem")  # fmt: skip
     shutil.copy(tmp_path / "drive.pem", tmp_path / "client.pem")
@@ -129,10 +135,13 @@ def test_a_file_that_is_no_certificate_is_named(keys: Path, tmp_path: Path) -> N
     nothing = tmp_path / "nothing.pem"
     nothing.write_text("nothing")
     for tls, words in (
-        (Tls(tmp_path / "nosuch"), f"ca {tmp_path}/nosuch: cannot be read"), (Tls(nothing), f"ca {nothing}"),
-        (Tls(keys / "drive.pem", nothing), f"cert {nothing}"), (Tls(tmp_path), f"ca {tmp_path}: cannot be"),
+        (Tls(tmp_path / "nosuch"), f"ca {tmp_path}/nosuch: cannot be read"), (Tls(nothing),
+        f"ca {nothing}"),
+        (Tls(keys / "drive.pem", nothing), f"cert {nothing}"), (Tls(tmp_path),
+        f"ca {tmp_path}: cannot be"),
         (Tls(keys / "drive.pem", keys / "client.pem", keys / "drive.key"), "KEY_VALUES_MISMATCH"),
-        (Tls(keys / "drive.pem", keys / "client.pem", tmp_path / "k"), f"key {tmp_path}/k: cannot be read"),
+        (Tls(keys / "drive.pem", keys / "client.pem", tmp_path / "k"),
+        f"key {tmp_path}/k: cannot be read"),
     ):  # fmt: skip
         ours, theirs = socket.socketpair()
         with theirs, pytest.raises(UsageError, match=re.escape(words)):

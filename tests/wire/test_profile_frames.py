@@ -1,4 +1,5 @@
-"""SDO frames of each CANopen profile, written by hand from CiA 301 and the drives' own documents."""
+"""SDO frames of each CANopen profile,
+written by hand from CiA 301 and the drives' own documents."""
 
 from __future__ import annotations
 
@@ -33,7 +34,8 @@ REACTIONS = [
 ]
 TORQUE_LIMIT = [("max_torque", 1000, "2B 72 60 00 E8 03 00 00")]
 FRAMES: dict[str, list[tuple[str, int, str]]] = {
-    "cia402": [*STANDARD, *REACTIONS, *TORQUE_LIMIT, ("torque_offset", -5, "2B B2 60 00 FB FF 00 00")],
+    "cia402": [*STANDARD, *REACTIONS, *TORQUE_LIMIT, ("torque_offset", -5,
+    "2B B2 60 00 FB FF 00 00")],
     # Elmo Gold DCF: 6087h up to 10 000 000
     "elmo-gold": [
         *STANDARD, *REACTIONS, *TORQUE_LIMIT,
@@ -58,7 +60,8 @@ FRAMES: dict[str, list[tuple[str, int, str]]] = {
         ("friction_current", 1500, "23 A4 36 00 DC 05 00 00"),
         ("friction_speed", 230_000, "23 A5 36 00 70 82 03 00"),
     ],
-    # Lexium 32: index 3000h + I, sub S; CTRL1_Kfric I 18 S 16, CTRL_SpdFric I 17 S 9, PAReeprSave I 4 S 1
+    # Lexium 32: index 3000h + I, sub S; CTRL1_Kfric I 18 S 16, CTRL_SpdFric I 17 S 9, PAReeprSave I
+    # 4 S 1
     "lexium-32": [
         *STANDARD[:-2], *REACTIONS,
         ("friction", 170, "2B 12 30 10 AA 00 00 00"),

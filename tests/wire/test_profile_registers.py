@@ -1,7 +1,7 @@
 """Requests of each Modbus profile, written by hand from the drives' own documents.
 
-Protocol data units of the Modbus Application Protocol V1.1b3: 06h address value, 10h address count bytes
-values, 03h address count.
+Protocol data units of the Modbus Application Protocol V1.1b3: 06h address value, 10h address count
+bytes values, 03h address count.
 """
 
 from __future__ import annotations

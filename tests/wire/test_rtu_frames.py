@@ -108,7 +108,8 @@ def test_a_late_answer_is_not_taken_for_the_next_one() -> None:
 
 
 def test_silence_between_frames() -> None:
-    # 3.5 characters of 11 bits at 9600 baud; above 19200 a fixed 1.75 ms; more where the drive wants it
+    # 3.5 characters of 11 bits at 9600 baud; above 19200 a fixed 1.75 ms; more where the drive
+    # wants it
     assert RtuLine("x", 9600, "E").silence == pytest.approx(3.5 * 11 / 9600)
     assert RtuLine("x", 115200).silence == 0.00175
     assert RtuLine("x", 115200, gap=0.01).silence == 0.01

@@ -15,12 +15,12 @@ a job raises in `commissioning.errors`.
     │   └── LinkLost                   4   was there, and is gone
     ├── DriveFault                     5   the drive reported a fault in motion
     │   └── EnvelopeTripped            5   a limit of ours was about to be passed
-    │       └── FeedbackReversed       5   the position answers against the torque: no brake but
-    friction ├── MeasurementRejected            6   friction above the torque limit, no limit cycle
+    │       └── FeedbackReversed       5   the position answers against the torque
+    ├── MeasurementRejected            6   friction above the torque limit, no limit cycle
     ├── AccessDenied                   4   SDO abort, Modbus exception: the drive refuses to be read
     ├── WriteFailed                    7   write, read-back, store or restore incomplete
-    │   ├── WriteDenied                7   SDO abort, Modbus exception: the drive refuses to be
-    written to │   └── JournalError               7   the journal cannot be written
+    │   ├── WriteDenied                7   the drive refuses to be written to
+    │   └── JournalError               7   the journal cannot be written
     ├── DoesNotHelp                    8   the compensation was tried, and is taken back
     └── Interrupted              130, 143  SIGINT, SIGTERM
 

@@ -89,12 +89,17 @@ def as_written(axis: Axis, profile: Profile) -> Profile:
     return load_profile(axis.profile or profile.name)
 
 
+_GONE = ("brake",)  # sections of 0.1.0 that said nothing which is used
+
+
 def _profile_of(text: str, origin: str, *, lenient: bool = False) -> Profile:
     return validated(_extended(parse_tree(text, origin), origin), Profile, origin, lenient=lenient)
 
 
 def _extended(tree: dict[str, Any], origin: str) -> dict[str, Any]:
     """A tree on top of the built-in profile that it `extends`, less what is `without`."""
+    for section in _GONE:
+        tree.pop(section, None)
     base = tree.pop("extends", None)
     without = tree.pop("without", [])
     if base is None:

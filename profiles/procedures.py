@@ -11,7 +11,6 @@ from profiles.strict import Strict
 from profiles.transports import CycleFunction
 
 __all__ = [
-    "Brake",
     "Condition",
     "Cycle",
     "LinkDefaults",
@@ -229,10 +228,3 @@ class Patience(Strict):
     mode: Annotated[float, Field(gt=0)] = 10.0  # until the mode that was asked for is displayed
     enable: Annotated[float, Field(gt=0)] = 5.0  # one transition of the state machine, brake too
     save: Annotated[float, Field(gt=0)] = 10.0  # until parameters are stored, and it listens again
-
-
-class Brake(Strict):
-    """Holding brake: delays between command and effect, which the drive itself keeps."""
-
-    release_delay: Annotated[float, Field(ge=0)] = 0.0  # s
-    apply_delay: Annotated[float, Field(ge=0)] = 0.0  # s

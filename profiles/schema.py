@@ -15,7 +15,6 @@ from profiles.identity import IdentityMatch
 from profiles.law import Compensation, LoopGains
 from profiles.parameter import Parameter, Protection, Unit
 from profiles.procedures import (
-    Brake,
     Condition,
     Cycle,
     LinkDefaults,
@@ -74,7 +73,6 @@ class Profile(Strict):
     ] = {}  # current: a second one of the torque
     watchdog: Watchdog
     patience: Patience = Patience()
-    brake: Brake = Brake()
     store: Store | None = None
     compensation: Compensation
     own_estimates: dict[Literal["coulomb"], str] = {}  # what the drive itself has found, to compare

@@ -1,8 +1,8 @@
 """Physics of an axis that is more than rigid with Coulomb friction: integrated in small steps.
 
-    J1·v1' = u_m − B·v1 − F1 − cogging(x1) − spring          x1' = v1     (motor, where the encoder
-    is) J2·v2' = spring − load − F2                               x2' = v2     (load side, where
-    there is one) spring = k·gap(x1 − x2) + c·(v1 − v2), in contact only     lag·u_m' = u − u_m
+    J1·v1' = u_m − B·v1 − F1 − cogging(x1) − spring    x1' = v1    (motor, where the encoder is)
+    J2·v2' = spring − load − F2                        x2' = v2    (load side, where there is one)
+    spring = k·gap(x1 − x2) + c·(v1 − v2), in contact only    lag·u_m' = u − u_m
 
 Without a second mass `load` acts on the motor. Between velocity reversals of either side the
 equations are smooth and a Runge-Kutta step of fourth order is taken; a reversal is found by a

@@ -3,8 +3,8 @@
 A dry law gives a level against the motion, F(v) for v > 0, and a level that holds the axis at rest:
 
     Coulomb    F = Fc                                                     (held by Fs)
-    Stribeck   F = Fc + (Fs − Fc)·e^(−(v/vs)²)           Armstrong-Hélouvry, Dupont, Canudas de Wit
-    1994 soft       F = Fc·tanh(v/w): no level holds it; the sigmoid of Gaz et al. 2019 has w = 2/φ2
+    Stribeck   F = Fc + (Fs − Fc)·e^(−(v/vs)²)    Armstrong-Hélouvry, Dupont, Canudas de Wit 1994
+    soft       F = Fc·tanh(v/w): no level holds it; the sigmoid of Gaz et al. 2019 has w = 2/φ2
 
 LuGre (Canudas de Wit, Olsson, Åström, Lischinsky 1995) has a state, the bristle deflection z:
 

@@ -79,8 +79,7 @@ def on_drive(
     return replace(result, axis=axis.name, link=link, profile=mark, identity=identity)
 
 
-# -- endings
-# ----------------------------------------------------------------------------------------
+# -- endings --------------------------------------------------------------------------------------
 
 
 def axis_state(drive: Drive, axis: Axis) -> AxisState:

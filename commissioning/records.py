@@ -221,8 +221,7 @@ def _after(writes: Sequence[Intent], up_to: int | None) -> dict[str, Intent]:
     return found
 
 
-# -- what rows and files must be
-# --------------------------------------------------------------------
+# -- what rows and files must be ------------------------------------------------------------------
 
 
 def _finite(tree: Any) -> Any:
@@ -336,8 +335,7 @@ def context_text(context: RunContext) -> str:
     return json.dumps({key: value for key, value in tree.items() if value is not None})
 
 
-# -- the journal of an exported run
-# -----------------------------------------------------------------
+# -- the journal of an exported run ---------------------------------------------------------------
 
 
 def history_of(tree: Any, origin: str) -> History:
@@ -375,8 +373,7 @@ def history_tree(history: History) -> dict[str, Any]:
     }
 
 
-# -- files
-# ------------------------------------------------------------------------------------------
+# -- files ----------------------------------------------------------------------------------------
 
 
 def json_file(path: Path) -> Any:

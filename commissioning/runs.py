@@ -281,8 +281,7 @@ class RunFolder:
         return dcf(profile, changed, int(node[1]) if node else profile.link.node)
 
 
-# -- what a run has left in its drive
-# ---------------------------------------------------------------
+# -- what a run has left in its drive -------------------------------------------------------------
 
 
 def left_in_drive(result: RunResult, history: History) -> tuple[Written, ...]:
@@ -357,8 +356,7 @@ def as_of(result: RunResult, history: History) -> RunResult:
     return dataclasses.replace(result, ending=ending)
 
 
-# -- samples
-# ----------------------------------------------------------------------------------------
+# -- samples --------------------------------------------------------------------------------------
 
 
 def _merged(before: Mapping[str, Array], new: Mapping[str, Array]) -> dict[str, Array]:

@@ -176,8 +176,7 @@ def _can_interfaces() -> Iterator[Check]:
         yield Check("note", "no CAN interface is there (ip link shows none of type can)")
 
 
-# -- a link
-# -------------------------------------------------------------------------------------------
+# -- a link ---------------------------------------------------------------------------------------
 
 
 def of_link(text: str, tell: Callable[[str], None]) -> Iterator[Check]:

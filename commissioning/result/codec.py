@@ -37,8 +37,7 @@ def _adapter() -> TypeAdapter[RunResult]:
     return TypeAdapter(RunResult)
 
 
-# -- out
-# --------------------------------------------------------------------------------------------
+# -- out ------------------------------------------------------------------------------------------
 
 
 def encode(result: RunResult) -> Tree:
@@ -90,8 +89,7 @@ def text_of(result: RunResult) -> str:
     return json.dumps(encode(result), indent=1, allow_nan=False) + "\n"
 
 
-# -- in
-# ---------------------------------------------------------------------------------------------
+# -- in -------------------------------------------------------------------------------------------
 
 
 def decode(tree: Any, origin: str) -> tuple[RunResult, Curves]:
@@ -125,8 +123,7 @@ def first_error(error: ValidationError) -> str:
     return f"'{where}' {'must be there' if one['type'] == 'missing' else wanted}"
 
 
-# -- from /1
-# ----------------------------------------------------------------------------------------
+# -- from /1 --------------------------------------------------------------------------------------
 
 _SAME = (
     "status", "run", "axis", "link", "profile", "identity", "units", "critical_point",
@@ -234,8 +231,7 @@ def _experiment_of_1(old: Tree | None) -> Tree | None:
     return new
 
 
-# -- the schema
-# -------------------------------------------------------------------------------------
+# -- the schema -----------------------------------------------------------------------------------
 
 
 def schema() -> Tree:

@@ -124,8 +124,7 @@ def gains_lines(item: GainSet, units: Units) -> list[str]:
     return found
 
 
-# -- what is changed
-# --------------------------------------------------------------------------------
+# -- what is changed ------------------------------------------------------------------------------
 
 
 def host_law(terms: Host) -> str:
@@ -172,8 +171,7 @@ def helps(found: Verification) -> str:
     )
 
 
-# -- how it ended
-# -----------------------------------------------------------------------------------
+# -- how it ended ---------------------------------------------------------------------------------
 
 _AXIS = {
     AxisState.AT_REST: "axis at rest and off",

@@ -67,8 +67,7 @@ def judged(result: RunResult, reasons: Sequence[Reason]) -> RunResult:
     return result
 
 
-# -- numbers
-# ----------------------------------------------------------------------------------------
+# -- numbers --------------------------------------------------------------------------------------
 
 
 def quantity(
@@ -116,8 +115,7 @@ def curve_of(fits: Sequence[ModulatingEstimate | SteadyFit], fastest: float) -> 
     return Curve(tuple(speed.tolist()), tuple(level.tolist()))
 
 
-# -- the plant
-# --------------------------------------------------------------------------------------
+# -- the plant ------------------------------------------------------------------------------------
 
 
 def critical_points(measured: Measured, right: CriticalPoint | None) -> CriticalPoints:
@@ -156,8 +154,7 @@ def _point(point: CriticalPoint | None) -> Point | None:
     )
 
 
-# -- the experiment
-# ---------------------------------------------------------------------------------
+# -- the experiment -------------------------------------------------------------------------------
 
 
 def cycles(shown: Sequence[Oscillation], begin: float) -> tuple[Oscillated, ...]:

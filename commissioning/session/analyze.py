@@ -102,8 +102,7 @@ def _late_share(time: Array) -> float:
     return float(np.mean(steps > 1.5 * np.median(steps)))
 
 
-# -- constant speeds
-# --------------------------------------------------------------------------------
+# -- constant speeds ------------------------------------------------------------------------------
 
 
 def _steady(result: RunResult, recordings: list[Recording]) -> RunResult:
@@ -159,8 +158,7 @@ def _steady_reasons(found: SteadyFit, units: Units) -> list[Reason]:
     return reasons
 
 
-# -- any motion
-# -------------------------------------------------------------------------------------
+# -- any motion -----------------------------------------------------------------------------------
 
 
 def _motion(

@@ -200,8 +200,7 @@ class Client:
             )
         return answer
 
-    # -- a line, whose answers do not say what they answer
-    # ---------------------------------------------
+    # -- a line, whose answers do not say what they answer ----------------------------------------
 
     def _owe(self, kind: Kind) -> None:
         """An answer did not come: it may come late."""

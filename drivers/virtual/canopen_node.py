@@ -190,8 +190,7 @@ class CanopenNode:
         if changed or (pdo.event_timer and since >= pdo.event_timer * _MS):
             self._send_tpdo(pdo)
 
-    # -- PDO
-    # -----------------------------------------------------------------------------------------
+    # -- PDO --------------------------------------------------------------------------------------
 
     def _take_rpdo(self, pdo: NodePdo, data: bytes) -> None:
         pdo.since = self.device.firmware.now
@@ -243,8 +242,7 @@ class CanopenNode:
             for entry, _ in pdo.mapped(self._dictionary)
         )
 
-    # -- SDO server
-    # ----------------------------------------------------------------------------------
+    # -- SDO server -------------------------------------------------------------------------------
 
     def _sdo(self, data: bytes) -> None:
         if len(data) != 8:
@@ -344,8 +342,7 @@ class CanopenNode:
         self._answer(bytes((0x20 | self._toggle << 4,)))
         self._toggle ^= 1
 
-    # -- object dictionary
-    # ---------------------------------------------------------------------------
+    # -- object dictionary ------------------------------------------------------------------------
 
     def _read(self, index: int, sub: int) -> bytes:
         entry = self._dictionary.objects.get((index, sub))

@@ -124,8 +124,7 @@ def test_the_stop_is_proved_the_way_in_which_the_load_moves_the_axis(
     assert all(push * way > 0.1 for push in pushes)
 
 
-# -- at the limits: numbers that are exact in binary, so that "at" and "beyond" are what they say
-# ------
+# -- at the limits: numbers that are exact in binary, so that "at" and "beyond" are what they say -
 
 TICK = 1 / 128  # s
 
@@ -282,8 +281,7 @@ def test_what_is_said_is_what_is_beyond_its_limit_and_not_what_is_at_it() -> Non
     assert "for the first motions" not in str(tripped.value)
 
 
-# -- positions that are commanded
-# ----------------------------------------------------------------------
+# -- positions that are commanded -----------------------------------------------------------------
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -313,8 +311,7 @@ def test_a_step_of_the_position_command_is_no_more_than_the_speed_goes_in_a_cycl
         w.admit_position(sign * beyond(3 / 16))
 
 
-# -- the position answers against the torque
-# -----------------------------------------------------------
+# -- the position answers against the torque ------------------------------------------------------
 
 LIGHT = Stopping(inertia=1e-3, friction=0.1, braking=0.2, reaction=0.01)
 

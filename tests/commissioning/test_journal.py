@@ -185,8 +185,7 @@ def test_stores_are_counted_for_each_drive(tmp_path: Path) -> None:
         assert journal.stores(mine) == 3, "it is counted when it was done"
 
 
-# -- what only shows when something is odd
-# --------------------------------------------------------------
+# -- what only shows when something is odd --------------------------------------------------------
 
 
 def test_a_journal_makes_the_folders_that_it_needs(tmp_path: Path) -> None:

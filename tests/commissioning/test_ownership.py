@@ -196,8 +196,7 @@ def _locks_of_this_thread() -> set[str]:
     return set(commissioning.ownership._mine.locks)
 
 
-# -- users
-# --------------------------------------------------------------------------------------------
+# -- users ----------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
@@ -276,8 +275,7 @@ def test_without_a_folder_for_locks_nothing_is_owned(locks: Path) -> None:
         FileLock("bus", "mine")
 
 
-# -- who asks
-# -----------------------------------------------------------------------------------------
+# -- who asks -------------------------------------------------------------------------------------
 
 
 def test_whatever_opens_a_link_asks_and_stop_does_not(serve: Serve, tworelay: Tworelay) -> None:

@@ -51,8 +51,7 @@ def says(drive: ProfiledDrive, **what: bool) -> Callable[[], DriveSays]:
     return lambda: said
 
 
-# -- a look that writes nothing
-# -----------------------------------------------------------------------
+# -- a look that writes nothing -------------------------------------------------------------------
 
 
 def test_a_drive_that_is_fit_is_let_through(drive: ProfiledDrive) -> None:
@@ -139,8 +138,7 @@ def test_an_axis_that_moves_by_itself_is_refused(
         look(drive, AXIS)
 
 
-# -- limits
-# -------------------------------------------------------------------------------------------
+# -- limits ---------------------------------------------------------------------------------------
 
 
 def test_limits_are_the_user_s_else_the_axis_else_the_drive_s(drive: ProfiledDrive) -> None:
@@ -302,8 +300,7 @@ def test_a_drive_that_is_enabled_by_being_prepared_is_stopped_and_refused(
     assert stops == [True]
 
 
-# -- the watchdog
-# -------------------------------------------------------------------------------------
+# -- the watchdog ---------------------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -149,8 +149,7 @@ def test_a_fault_is_acknowledged_by_an_edge() -> None:
     assert machine.written == [("controlword", 0), ("controlword", 0x80), ("controlword", 0)]
 
 
-# -- by a procedure
-# -----------------------------------------------------------------------------------
+# -- by a procedure -------------------------------------------------------------------------------
 
 
 def leadshine(machine: Machine, name: str, raw: int) -> None:
@@ -325,8 +324,7 @@ def test_a_drive_that_brakes_is_not_enabled_yet_and_has_not_lost_its_energy_yet(
         procedure(machine).disable([0, 0])
 
 
-# -- steps
-# --------------------------------------------------------------------------------------------
+# -- steps ----------------------------------------------------------------------------------------
 
 
 def test_steps_write_and_wait_for_what_they_name() -> None:

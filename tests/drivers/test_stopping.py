@@ -272,8 +272,7 @@ def test_a_bus_that_others_connect_to_needs_no_frames() -> None:
     assert motor.path().frames(motor.rest()) is None
 
 
-# -- by a procedure
-# -----------------------------------------------------------------------------------
+# -- by a procedure -------------------------------------------------------------------------------
 
 TWO_KEY = parse_model((ROOT / "tests/faults/two_key.toml").read_text(), Profile, "two-key")
 HALT = ("halt", 1)
@@ -379,8 +378,7 @@ def test_a_step_that_waits_may_be_the_last_one() -> None:
     assert frames.frames[-2:] == ((b"key_2=0", 0.03), (b"halt=0", 0.2))
 
 
-# -- a drive that has no time, or takes it
-# --------------------------------------------------------------
+# -- a drive that has no time, or takes it --------------------------------------------------------
 
 
 class Hectic(Motor):

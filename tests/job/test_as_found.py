@@ -79,8 +79,7 @@ def open_parameters() -> set[str]:
         return {i.parameter for i in journal.intents(run, open_only=True)}
 
 
-# -- commission
-# ---------------------------------------------------------------------------------------
+# -- commission -----------------------------------------------------------------------------------
 
 
 def test_what_is_proved_is_stored_once_and_not_before(
@@ -270,8 +269,7 @@ def test_a_drive_whose_compensation_cannot_be_seen_at_work_gets_nothing_unproved
     drive.close()
 
 
-# -- verify alone
-# -------------------------------------------------------------------------------------
+# -- verify alone ---------------------------------------------------------------------------------
 
 
 def test_gains_in_the_memory_are_not_forgotten_when_the_compensation_does_not_help(
@@ -337,8 +335,7 @@ def test_a_store_whose_answer_is_lost_is_told_to_be_doubtful(
     assert values(link) == stored(tmp_path) == FOUND
 
 
-# -- restore
-# ------------------------------------------------------------------------------------------
+# -- restore --------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -479,8 +476,7 @@ def test_the_lock_on_other_masters_is_not_stored(
     assert locked == [3000, 3000]
 
 
-# -- a Ctrl-C at any moment
-# ---------------------------------------------------------------------------
+# -- a Ctrl-C at any moment -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("command", ["identify", "commission"])

@@ -120,8 +120,7 @@ def test_a_killed_job_leaves_the_keys_in_the_journal(serve: Serve, tworelay: Two
     assert found == [(0, 85, "restored")]
 
 
-# -- positions are checked by the host
-# ----------------------------------------------------------------
+# -- positions are checked by the host ------------------------------------------------------------
 
 
 @pytest.fixture

@@ -29,8 +29,7 @@ from tests.command import ROOT
 from tests.conftest import Serve, Tworelay
 from tests.serving import WIRES
 
-# -- names
-# ------------------------------------------------------------------------------------------
+# -- names ----------------------------------------------------------------------------------------
 
 NAMES = (
     "Presse 7", "Achse-Ž", "a,b", "axis.", "軸 1", "-x", ".hidden", "CON", "x" * 100, "a/b", "50 %",
@@ -109,8 +108,7 @@ def test_a_bare_link_is_called_by_what_it_is(link: str, name: str) -> None:
     assert axis_of(link).name == name
 
 
-# -- order
-# ------------------------------------------------------------------------------------------
+# -- order ----------------------------------------------------------------------------------------
 
 
 def test_a_clock_that_was_corrected_backwards_changes_no_order(
@@ -154,8 +152,7 @@ def test_the_last_to_write_is_the_first_to_go_back(tmp_path: Path) -> None:
         assert journal.last_written() == a
 
 
-# -- drives that tell no serial number
-# --------------------------------------------------------------
+# -- drives that tell no serial number ------------------------------------------------------------
 
 
 def test_two_drives_without_a_serial_do_not_block_each_other(
@@ -216,8 +213,7 @@ def test_two_demos_on_one_home_are_two_drives() -> None:
         assert "the drive's compensation is of this run, stored" in out
 
 
-# -- what cannot be written is read
-# -----------------------------------------------------------------
+# -- what cannot be written is read ---------------------------------------------------------------
 
 
 @contextlib.contextmanager
@@ -294,8 +290,7 @@ def test_reading_leaves_nothing_where_there_is_nothing(tworelay: Tworelay) -> No
     assert not home().exists()
 
 
-# -- output that goes away
-# --------------------------------------------------------------------------
+# -- output that goes away ------------------------------------------------------------------------
 
 
 @pytest.mark.skipif(os.name == "nt", reason="pipes of POSIX")
@@ -333,8 +328,7 @@ def test_a_job_does_not_end_because_nobody_reads(
     assert run["verdict"] == ("good" if not code else "rejected")
 
 
-# -- the list
-# ---------------------------------------------------------------------------------------
+# -- the list -------------------------------------------------------------------------------------
 
 
 def test_the_list_says_what_was_found_and_what_is_in_the_drive(tworelay: Tworelay) -> None:

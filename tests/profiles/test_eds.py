@@ -115,8 +115,7 @@ def test_a_byte_that_is_not_utf_8_is_read_and_reported_with_its_line() -> None:
     ]
 
 
-# -- every oddity by itself
-# -------------------------------------------------------------------------
+# -- every oddity by itself -----------------------------------------------------------------------
 
 DEVICE = "[DeviceInfo]\nVendorName=ACME\nProductName=D1\nVendorNumber=0x2A\nProductNumber=7\n"
 OBJECT = (

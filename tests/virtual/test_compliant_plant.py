@@ -162,8 +162,7 @@ def test_cogging_holds_the_axis_in_its_valleys() -> None:
     assert 2 * pi / period == pytest.approx(sqrt(2 * pi * t / (pitch * j)), rel=5e-3)
 
 
-# -- LuGre: Canudas de Wit, Olsson, Astrom, Lischinsky 1995, Table I
-# --------------------------------
+# -- LuGre: Canudas de Wit, Olsson, Astrom, Lischinsky 1995, Table I ------------------------------
 
 S0, S1, S2, FC, FS, VS = 1e5, sqrt(1e5), 0.4, 1.0, 1.5, 1e-3
 

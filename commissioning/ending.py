@@ -74,7 +74,7 @@ def begun(axis: Axis) -> RunResult:
 def on_drive(
     result: RunResult, axis: Axis, link: str, profile: Profile, identity: Identity
 ) -> RunResult:
-    """The same on a drive that is connected."""
+    """A result with the drive that is connected: link, profile, identity."""
     mark = ProfileMark(profile.name, profile.version, digest(profile))
     return replace(result, axis=axis.name, link=link, profile=mark, identity=identity)
 
@@ -91,7 +91,7 @@ def axis_state(drive: Drive, axis: Axis) -> AxisState:
 
 
 def stopped_state(axis: Axis, *, deenergised: bool | None) -> AxisState:
-    """The same by what a stop reached."""
+    """State of an axis by what a stop reached."""
     if not deenergised:
         return AxisState.NOT_VERIFIED
     return AxisState.HELD if axis.mechanics.held_by == "brake" else AxisState.AT_REST

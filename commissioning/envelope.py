@@ -14,12 +14,14 @@ __all__ = ["Envelope", "Watch"]
 _MEASURED_TORQUE_SHARE = 1.5  # of the limit; sustained, so that a spike of noise does not trip
 _MEASURED_TORQUE_CYCLES = 10
 _FIRST_TRAVEL, _FIRST_SPEED = 0.6, 0.35  # of the limits, while nothing is known
-_STAYS = 0.05  # of the travel, while the drive takes over
+_LARGEST_JUMP = 0.05  # of the travel, while the drive takes over
 # A change of speed within one sample that is so many times what the torque can do, and as many
 # counts, is the encoder's direction that changed. It is believed when the next sample has the new
 # speed, too.
 _IMPOSSIBLE, _COUNTS, _STAYS_REVERSED = 6.0, 4.0, 0.5
-_AGAINST = 0.03  # s: an axis that gains speed for so long against its torque contradicts it
+_LONGEST_AGAINST_TORQUE = (
+    0.03  # s: an axis that gains speed for so long against its torque contradicts it
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,13 +206,13 @@ class Watch:
     def _check_start(self, position: float) -> None:
         """The axis is still where it was before the drive took over."""
         e, moved = self._envelope, position - self._position
-        if abs(moved) > _STAYS * e.travel:
+        if abs(moved) > _LARGEST_JUMP * e.travel:
             raise EnvelopeTripped(
                 f"the axis, or its encoder, moved by {moved:+.3g} {e.position_unit} while the "
                 "drive was enabled; the axis was stopped. Find out why first",
                 code="limit.jump",
                 value=moved,
-                limit=_STAYS * e.travel,
+                limit=_LARGEST_JUMP * e.travel,
                 unit=e.position_unit,
             )
 
@@ -234,7 +236,7 @@ class Watch:
         pu, tu = e.position_unit, e.effort_unit
         since, slower = self._against
         against = sample.time - since
-        if against > _AGAINST and speed > slower:
+        if against > _LONGEST_AGAINST_TORQUE and speed > slower:
             raise FeedbackReversed(
                 f"feedback: the axis gained speed against its torque for {1000 * against:.0f} ms, "
                 f"from {slower:.3g} to {speed:.3g} {pu}/s; the direction of encoder or motor has "

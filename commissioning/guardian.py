@@ -67,7 +67,7 @@ class Guardian:
                 self.said.append(line.decode("utf-8", "replace").strip())
 
     def acted(self) -> str:
-        """That the guardian stopped the drive, and why; '' when it did not."""
+        """Line that the guardian stopped the drive, and why; '' when it did not."""
         if self._is_dead and self._ear is not None:
             self._ear.join(_ENDING)  # what it said last is on its way
         if not self.said:
@@ -134,7 +134,7 @@ class Guardian:
         return " through its port, which was opened here"
 
     def dismiss(self) -> None:
-        """It is no longer needed."""
+        """End the process: it is no longer needed."""
         process, self._process = self._process, None
         if process is None:
             return

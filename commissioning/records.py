@@ -359,7 +359,7 @@ def history_of(tree: Any, origin: str) -> History:
 
 
 def history_tree(history: History) -> dict[str, Any]:
-    """The same for JSON."""
+    """A history as a tree for JSON."""
     run = {**asdict(history.run), "context": json.loads(context_text(history.run.context))}
     del run["adopted"]
     return {

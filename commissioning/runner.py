@@ -23,7 +23,7 @@ from profiles.procedures import Mode
 
 __all__ = ["Phase", "Recorder", "run", "verified"]
 
-_LATELY = 5.0  # s
+_STOP_IS_RECENT = 5.0  # s
 
 T = TypeVar("T")
 
@@ -64,7 +64,7 @@ class Recorder:
         self.on_phase(text)
 
     def detail(self, text: str) -> None:
-        """The same within a step."""
+        """From the next sample on, `text` happens within a step."""
         self.phases.append(Phase(len(self.samples), "detail", text))
         self.on_phase(text)
 
@@ -151,7 +151,7 @@ def verified(report: StopReport, error: BaseException | None) -> None:
 
 def _left_operation(drive: Drive) -> DriveFault:
     """Why the drive is no longer enabled."""
-    if stopper := stopped_by(drive.link, _LATELY):
+    if stopper := stopped_by(drive.link, _STOP_IS_RECENT):
         return DriveFault(
             f"the drive was stopped from outside, by {stopper}: the job ends here",
             f"another tworelay ({stopper})",

@@ -105,7 +105,7 @@ class Samples:
 
     @classmethod
     def none(cls) -> Samples:
-        """Of a run without a record."""
+        """Samples of a run without a record."""
         return cls.of(Recorder())
 
 

@@ -25,8 +25,8 @@ _POSITION_TURNED, _VELOCITY_TURNED = 0x80, 0x40  # of 607Eh, polarity (CiA 402-2
 _ENCODER = 0x608F
 _FEWEST = 200  # position units a revolution: fewer are a default that nobody has set
 _LARGEST_PERIOD = 255  # 8 bits
-_ALIKE = 1e-6  # of two ratios that are one
-_ASKED = "give encoder (position units a motor revolution) in the axis file, or set up the drive"
+_RATIO_TOLERANCE = 1e-6  # of two ratios that are one
+_WAY_OUT = "give encoder (position units a motor revolution) in the axis file, or set up the drive"
 
 Read = Callable[[str], int | None]  # raw value of a parameter by name; None: not there
 
@@ -62,7 +62,7 @@ def interpolation_period(cycle: float) -> tuple[int, int]:
 
 
 def _torque_constant(profile: Profile, axis: Axis, rated: float, read: Read) -> float:
-    """N.m/A, where a parameter is a current."""
+    """Motor torque constant, N.m/A, where a parameter is a current."""
     known = profile.parameters
     if not any(p.unit is Unit.CURRENT for name, p in known.items() if name != "rated_current"):
         return 0.0
@@ -80,7 +80,7 @@ def _torque_constant(profile: Profile, axis: Axis, rated: float, read: Read) -> 
 
 
 def _rated_torque(profile: Profile, read: Read) -> float:
-    """Of the motor, N.m."""
+    """Motor rated torque, N.m (6076h)."""
     base = profile.parameters.get("rated_torque")
     if base is None:
         raise PreflightRefused(
@@ -106,7 +106,7 @@ def _rated_torque(profile: Profile, read: Read) -> float:
 
 
 def _encoder(profile: Profile, read: Read) -> float:
-    """Position units a motor revolution."""
+    """Position encoder resolution, position units a motor revolution (608Fh)."""
     known = profile.parameters
     if "encoder_increments" not in known:
         raise PreflightRefused(
@@ -143,10 +143,10 @@ def _by_factors(encoder: float | None, read: Read) -> float:
         found = feed / (gear or 1.0)
     if factor is not None and encoder is not None:  # of the standard's first edition
         old = encoder / factor
-        if feed is not None and found is not None and abs(old / found - 1) > _ALIKE:
+        if feed is not None and found is not None and abs(old / found - 1) > _RATIO_TOLERANCE:
             raise PreflightRefused(
                 f"the drive's objects contradict each other: 608Fh and 6093h make {old:g} position "
-                f"units a motor revolution, 6092h and 6091h {found:g}; {_ASKED}",
+                f"units a motor revolution, 6092h and 6091h {found:g}; {_WAY_OUT}",
                 code="scale.contradiction",
             )
         found = old
@@ -161,7 +161,7 @@ def _by_factors(encoder: float | None, read: Read) -> float:
         raise PreflightRefused(
             f"by 6092h and 6091h a motor revolution has {found:g} position units, by 608Fh "
             f"{encoder:g} increments: is 6092h set up, or as it was delivered? "
-            f"{_ASKED[0].upper()}{_ASKED[1:]}",
+            f"{_WAY_OUT[0].upper()}{_WAY_OUT[1:]}",
             code="scale.position-units",
         )
     return found

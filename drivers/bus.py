@@ -73,7 +73,7 @@ class Bus(Protocol):
         """Write without waiting for anything, by every way the bus has. For the stop path."""
 
     def descriptor(self) -> int | None:
-        """Of the port, where it has one owner; None: others connect by themselves."""
+        """Descriptor of the port, where it has one owner; None: others connect by themselves."""
 
     def port(self) -> SerialPort | None:
         """The serial port, where there is one."""

@@ -27,8 +27,8 @@ __all__ = ["Check", "of_link", "of_machine"]
 _PACKAGES = ("tworelay", "pymodbus", "python-can", "canopen", "pyserial", "numpy", "scipy")
 _CAN_DEVICE = "280"  # ARPHRD_CAN, /sys/class/net/*/type
 _SLOW_LATENCY = 2  # ms, of an FTDI adapter's timer
-_NAPS, _NAP = 60, 0.002  # s
-_LATE = 0.001  # s
+_NAPS, _SLEEP = 60, 0.002  # s
+_LATE_SLEEP = 0.001  # s
 _LISTEN = 0.6  # s
 _SERIAL = [
     (b, p, s)
@@ -104,12 +104,12 @@ def _clock() -> Iterator[Check]:
     late = []
     for _ in range(_NAPS):
         begin = time.perf_counter()
-        time.sleep(_NAP)
-        late.append(time.perf_counter() - begin - _NAP)
+        time.sleep(_SLEEP)
+        late.append(time.perf_counter() - begin - _SLEEP)
     middle, worst = statistics.median(late), max(late)
     told = f"{middle * 1000:.2f} ms, {worst * 1000:.1f} ms at worst"
-    text = f"a sleep of {_NAP * 1000:g} ms is late by {told}"
-    yield Check("ok" if middle < _LATE else "warning", text)
+    text = f"a sleep of {_SLEEP * 1000:g} ms is late by {told}"
+    yield Check("ok" if middle < _LATE_SLEEP else "warning", text)
 
 
 def _serial_ports() -> Iterator[Check]:
@@ -139,7 +139,7 @@ def _timer_file(device: str) -> Path:
 
 
 def latency_timer(device: str) -> int | None:
-    """Of an FTDI adapter, ms; None where there is none."""
+    """Latency timer of an FTDI adapter, ms; None where there is none."""
     try:
         return int(_timer_file(device).read_text())
     except (OSError, ValueError):

@@ -41,7 +41,7 @@ class StopReport:
 
 
 class Value(NamedTuple):
-    """Of a parameter: as the drive counts, and SI at the axis."""
+    """Value of a parameter: as the drive counts, and SI at the axis."""
 
     raw: int
     si: float

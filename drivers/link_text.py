@@ -123,7 +123,7 @@ def parse(text: str) -> Link:
 
 
 def host_and_port(link: Link) -> tuple[str, str]:
-    """Of a Modbus LINK over TCP, as they are written; without a port, the protocol's own."""
+    """Host and port of a Modbus LINK, as they are written; without a port, the protocol's own."""
     found = _HOST_AND_PORT.fullmatch(link.place.rstrip("/"))
     if found is None or not 0 < int(found["port"] or 1) < 65536:
         raise UsageError(

@@ -242,7 +242,7 @@ def read_eds(path: Path) -> Eds:
 
 
 def parse_eds(data: bytes, where: str) -> Eds:
-    """The same from bytes; `where` names the file in messages."""
+    """An EDS or DCF from bytes; `where` names the file in messages."""
     reader = _Reader(where)
     sections = reader.sections(reader.decode(data))
     device = sections.get("deviceinfo")

@@ -40,7 +40,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def _renamed(node: Any) -> Any:
-    """The same with nothing required, all the way down."""
+    """A schema with nothing required, all the way down."""
     if isinstance(node, list):
         return [_renamed(item) for item in node]
     if not isinstance(node, dict):

@@ -85,7 +85,7 @@ def source_of(axis: Axis, profile: Profile) -> str:
 
 
 def as_written(axis: Axis, profile: Profile) -> Profile:
-    """The same as a profile: without what the axis file says otherwise."""
+    """The profile of `axis`, without what the axis file says otherwise."""
     return load_profile(axis.profile or profile.name)
 
 
@@ -258,7 +258,7 @@ def draft_from_eds(path: Path) -> Draft:
 
 
 def draft_from_stored_eds(data: bytes, origin: str) -> Draft:
-    """The same from the EDS that a drive carries; `origin` names the drive."""
+    """A draft from the EDS that a drive carries; `origin` names the drive."""
     from profiles.eds import parse_eds
 
     return _drafted(parse_eds(data, origin), origin)

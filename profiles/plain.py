@@ -29,7 +29,7 @@ def plain(text: str) -> str:
 
 
 def plain_lines(text: str) -> str:
-    """The same for a text of several lines; tabs stay, too."""
+    """A text of several lines, made harmless; tabs stay, too."""
     return "\n".join("\t".join(map(plain, line.split("\t"))) for line in text.split("\n"))
 
 

@@ -121,7 +121,7 @@ def new(eds: str | None, table: str | None, drive: str | None, output: str, forc
 
 
 def _asked(name: str) -> Draft:
-    """The same table, asked for."""
+    """A table of parameters, asked for."""
     import sys
 
     from profiles.address import WIDTH_BITS

@@ -41,12 +41,10 @@ class PeriodNeeds:
     overdrive: float
 
 
-LONG = PeriodNeeds(
-    40, 40, 1.0
-)  # the thesis: a relay that is sampled and late has no clean limit cycle
-SHORT = PeriodNeeds(
-    12, 24, 1.15
-)  # modulating functions and the exact balance know sampling and dead time
+# the thesis: a relay that is sampled and late has no clean limit cycle
+LONG = PeriodNeeds(40, 40, 1.0)
+# modulating functions and the exact balance know sampling and dead time
+SHORT = PeriodNeeds(12, 24, 1.15)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +131,7 @@ class _Pair:
     longest: float
 
     def half_swing(self, period: float, d: float) -> float:
-        """Of a rigid axis without viscous friction, rad or m."""
+        """Half-swing of a rigid axis without viscous friction, rad or m."""
         return period**2 * (d * d - self.friction**2) / (32 * self.inertia * d)
 
     def _period(self, half_swing: float, d: float) -> float:

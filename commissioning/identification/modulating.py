@@ -93,7 +93,7 @@ class ModulatingEstimate:
 
     @property
     def coefficients(self) -> Array:
-        """Of the terms of the law."""
+        """Coefficients of the terms of the law."""
         return self.fit.coefficients
 
     def curve(self, speed: Array) -> Array:

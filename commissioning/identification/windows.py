@@ -100,7 +100,7 @@ class Problem:
 
     @property
     def condition(self) -> float:
-        """Of the scaled matrix."""
+        """Condition number of the scaled matrix."""
         return float(np.linalg.cond(self._left / self._scale))
 
     @property

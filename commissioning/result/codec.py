@@ -67,7 +67,7 @@ def _plain(value: Any) -> Any:
 
 
 def printable(result: RunResult) -> RunResult:
-    """The same with texts that act on no screen, printer or browser."""
+    """A tree whose texts act on no screen, printer or browser."""
     return decode(_short(plain_tree(encode(result))), f"run {result.run}")[0]
 
 

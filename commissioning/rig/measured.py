@@ -106,17 +106,17 @@ class Measured:
 
     @property
     def modulating(self) -> ModulatingEstimate | None:
-        """Of modulating functions."""
+        """What modulating functions have found."""
         return cast("ModulatingEstimate | None", self.by.get(MethodName.MODULATING))
 
     @property
     def lock_in(self) -> LockIn | None:
-        """Of the exact balance."""
+        """What the exact balance has found."""
         return cast("LockIn | None", self.by.get(MethodName.LOCK_IN))
 
     @property
     def thesis(self) -> FrictionEstimate | PhaseLocked | None:
-        """Of the first of the thesis' methods."""
+        """What the first of the thesis' methods has found."""
         kinds = FrictionEstimate, PhaseLocked
         return next((one for one in self.by.values() if isinstance(one, kinds)), None)
 

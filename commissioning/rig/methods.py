@@ -46,11 +46,11 @@ from profiles.errors import UnknownName
 
 __all__ = ["METHODS", "Method", "method_of", "methods_of", "repeated"]
 
-_RELAY, _SHORT = 5, 7  # periods of the relay and of the oscillator that usually are enough
-_AGAIN, _HELD = 2, 8  # of the relay and of each oscillation when they are not: 30 in all
-_SETTLED, _MOST = 10, 20  # periods of each oscillation of lock-in: settled, and at most
-_DESIGNS = 3  # how often the oscillations are chosen anew, where the first look was far off
-_AWAY = 3 / 8  # of a period after a switching: well after the reversal, before the next switching
+_RELAY_PERIODS, _HOLD_PERIODS = 5, 7  # of relay and oscillator, that usually are enough
+_RELAY_PERIODS_MORE, _HELD_PERIODS = 2, 8  # of relay and each oscillation, when they are not
+_PERIODS_SETTLED, _MOST_PERIODS = 10, 20  # of each oscillation of lock-in: settled, and at most
+_MOST_DESIGNS = 3  # how often the oscillations are chosen anew, where the first look was far off
+_AFTER_SWITCHING = 3 / 8  # of a period: well after the reversal, before the next switching
 
 
 def repeated(rig: Rig) -> list[Measured]:
@@ -108,7 +108,8 @@ def _auto(ready: Ready) -> Measured:
         f"a dozen periods are not enough: {_why(first)}; the oscillations are held"
     )
     more = _oscillate(
-        ready, _AGAIN, (Stretch(1, _HELD, _HELD), Stretch(2, _HELD, _HELD)),
+        ready, _RELAY_PERIODS_MORE,
+        (Stretch(1, _HELD_PERIODS, _HELD_PERIODS), Stretch(2, _HELD_PERIODS, _HELD_PERIODS)),
         knob=_knob(short), period=short.shown[1].cycle.period,
     )  # fmt: skip
     record = ready.record(more.begin, more.end)
@@ -159,8 +160,8 @@ def _why(found: ModulatingEstimate) -> str:
 def _short(ready: Ready) -> Measured:
     """Relay at d1, oscillator at d2, nothing settled: modulating functions."""
     periods = 0
-    for _ in range(_DESIGNS):
-        found = _oscillate(ready, _RELAY, (Stretch(2, _SHORT, _SHORT),))
+    for _ in range(_MOST_DESIGNS):
+        found = _oscillate(ready, _RELAY_PERIODS, (Stretch(2, _HOLD_PERIODS, _HOLD_PERIODS),))
         record = ready.record(found.begin, found.end)
         periods += found.periods
         fitted = estimate(record)
@@ -184,7 +185,11 @@ def _knob(measured: Measured) -> float:
 
 
 def _lock_in(ready: Ready) -> Measured:
-    found = _oscillate(ready, _RELAY, (Stretch(1, _SETTLED, _MOST), Stretch(2, _SETTLED, _MOST)))
+    found = _oscillate(
+        ready,
+        _RELAY_PERIODS,
+        (Stretch(1, _PERIODS_SETTLED, _MOST_PERIODS), Stretch(2, _PERIODS_SETTLED, _MOST_PERIODS)),
+    )
     record = ready.record(found.begin, found.end)
     measured = _shown(ready, found, record, periods=found.periods)
     exact, measured.second = _balance(record, found, ready)
@@ -214,7 +219,9 @@ def _balance(record: Record, found: Oscillations, ready: Ready) -> tuple[LockIn,
 def _phasors(record: Record, kinematics: Kinematics, held: Held) -> Phasors:
     """Whole periods of one stretch, from between a reversal and a switching on."""
     count = round((held.end - held.begin) / held.period) - 1
-    return phasors(record, kinematics, held.begin + _AWAY * held.period, held.period, count)
+    return phasors(
+        record, kinematics, held.begin + _AFTER_SWITCHING * held.period, held.period, count
+    )
 
 
 # -- the plant's point ----------------------------------------------------------------------------
@@ -243,7 +250,10 @@ def _whole(shown: Oscillation) -> tuple[float, float, int]:
 
 def _phase_locked(ready: Ready) -> Measured:
     found = _oscillate(
-        ready, _RELAY, (Stretch(1, _SETTLED, _MOST), Stretch(2, _SETTLED, _MOST)), wave="sine"
+        ready,
+        _RELAY_PERIODS,
+        (Stretch(1, _PERIODS_SETTLED, _MOST_PERIODS), Stretch(2, _PERIODS_SETTLED, _MOST_PERIODS)),
+        wave="sine",
     )
     record = ready.record(found.begin, found.end)
     measured = _shown(ready, found, record, periods=found.periods)

@@ -26,7 +26,7 @@ __all__ = ["Mover"]
 
 T = TypeVar("T")
 
-_OFF = 1.0  # s between two samples: two experiments, with the drive off in between
+_BETWEEN_EXPERIMENTS = 1.0  # s between two samples: two experiments, with the drive off in between
 
 
 class Mover:
@@ -160,19 +160,22 @@ class Mover:
 
     @property
     def spent(self) -> float:
-        """Of the duration that is allowed, s."""
+        """Time since the first sample, s."""
         samples = self.recorder.samples
         return samples[-1].time - samples[0].time if samples else 0.0
 
     def heat_left(self) -> float:
-        """Of the i²t budget, what the experiments have not given back, (N.m)²·s or N²·s."""
+        """Heat of the i²t budget that the experiments have not given back, (N.m)²·s or N²·s."""
         samples = self.recorder.samples
         fresh = samples[max(self._heated - 1, 0) :]
         self._heated = len(samples)
         if len(fresh) > 1:
             time, command = (np.array([getattr(s, k) for s in fresh]) for k in ("time", "command"))
             steps = np.diff(time)
-            power = np.where(steps < _OFF, command[1:] ** 2, 0.0) - self._limits.rated**2
+            power = (
+                np.where(steps < _BETWEEN_EXPERIMENTS, command[1:] ** 2, 0.0)
+                - self._limits.rated**2
+            )
             total = self._heat + np.cumsum(power * steps)
             self._heat = float(total[-1] - min(total.min(), 0.0))
         return self._heat

@@ -30,9 +30,9 @@ _LONGEST = 4.0  # s
 _SPEED_SHARE = 0.8  # of the speed limit, at the peak
 _FEWEST_COUNTS = 60  # encoder counts of half-swing
 _HEAT_SHARE = 0.5  # of the i²t budget
-_PERIODS = 20  # that an oscillation takes at most, with its start
-_START = 5.0  # s, to go where it begins
-_NEAR, _FAR = 0.4, 1.0  # degrees from the phase that is wanted: near enough, and worth a word
+_MOST_PERIODS = 20  # that an oscillation takes at most, with its start
+_TIME_TO_START = 5.0  # s, to go where it begins
+_NEAR_ENOUGH, _WORTH_A_WORD = 0.4, 1.0  # degrees from the phase that is wanted
 _TRIES = 3
 
 
@@ -110,7 +110,7 @@ def _measured(
         if found is None or abs(read.phase_deg - phase) < abs(found.phase_deg - phase):
             found = read
             unsettled = not settled
-        if abs(read.phase_deg - phase) <= _NEAR:
+        if abs(read.phase_deg - phase) <= _NEAR_ENOUGH:
             break
         # the model's own phase at this period is off by as much
         expected = point.phase_deg + phase - read.phase_deg
@@ -123,7 +123,10 @@ def _measured(
     off = found.phase_deg - phase
     for applies, text in (
         (unsettled, f"the oscillation at {phase:g}° did not settle"),
-        (abs(off) > _FAR, f"the point that was measured for {phase:g}° lies {off:+.1f}° from it"),
+        (
+            abs(off) > _WORTH_A_WORD,
+            f"the point that was measured for {phase:g}° lies {off:+.1f}° from it",
+        ),
     ):
         if applies:
             measured.reasons.append(Reason("point.off", Weight.DOUBT, text))
@@ -164,13 +167,15 @@ def _wanted(point: CriticalPoint, measured: Measured) -> tuple[Wanted | None, fl
             )
         elif peak > _SPEED_SHARE * context.speed:
             why_not = f"that takes {peak:.3g} {p}/s, and {context.speed:.3g} {p}/s is allowed"
-        elif _PERIODS * period + _START > ready.time_left:
+        elif _MOST_PERIODS * period + _TIME_TO_START > ready.time_left:
             why_not = (
-                f"that takes up to {_PERIODS * period + _START:.0f} s, and "
+                f"that takes up to {_MOST_PERIODS * period + _TIME_TO_START:.0f} s, and "
                 f"{ready.time_left:.0f} s are left of --duration"
             )
-        elif ready.heat(wanted.amplitude, _PERIODS * period) > _HEAT_SHARE:
-            why_not = f"{_PERIODS * period:.3g} s of its torque would be too much for the motor"
+        elif ready.heat(wanted.amplitude, _MOST_PERIODS * period) > _HEAT_SHARE:
+            why_not = (
+                f"{_MOST_PERIODS * period:.3g} s of its torque would be too much for the motor"
+            )
         elif wanted.half_swing < _FEWEST_COUNTS * context.resolution:
             counts = wanted.half_swing / context.resolution
             why_not = f"its half-swing would be {counts:.0f} encoder counts"

@@ -32,11 +32,11 @@ __all__ = [
 POSITION, TORQUE = "position_actual", "torque_target"  # as every profile names them
 
 _AT_REST_COUNTS = 3
-_LOOK, _PATIENCE = 0.05, 1.0  # s; it may still settle from what was before
+_LOOK_INTERVAL, _TIME_TO_REST = 0.05, 1.0  # s; it may still settle from what was before
 CYCLES_A_WATCHDOG = 3
 _FEWEST_COUNTS = 500  # of travel
 _PROOF_CYCLES = 5
-_STAYS = 0.05  # of the travel, in the proof
+_LARGEST_MOVE_IN_PROOF = 0.05  # of the travel, in the proof
 _DRIVE_SPEED = 1.2  # of our limit: what the drive is told
 _LONGEST_DEAD_TIME, _CYCLES_TO_STOP, _CYCLES_TO_STOP_KNOWN = 0.03, 6, 3  # s, cycles
 
@@ -108,21 +108,21 @@ def look(drive: Drive, axis: Axis) -> None:
     moved = still_moving(drive)
     if moved:
         raise PreflightRefused(
-            f"the axis moves by itself: {moved:.3g} {axis.position_unit} in {_LOOK:g} s; bring it "
-            "to rest first",
+            f"the axis moves by itself: {moved:.3g} {axis.position_unit} in {_LOOK_INTERVAL:g} s; "
+            "bring it to rest first",
             code="preflight.not-at-rest",
         )
 
 
-def still_moving(drive: Drive, patience: float = _PATIENCE) -> float:
+def still_moving(drive: Drive, patience: float = _TIME_TO_REST) -> float:
     """How far the axis moves by itself in a moment, rad or m; 0 as soon as it is at rest.
 
     `patience` : s until it has to be
     """
     step = _count(drive)
-    for _ in range(ceil(patience / _LOOK)):
+    for _ in range(ceil(patience / _LOOK_INTERVAL)):
         before = drive.read("position_actual").si
-        drive.wait(_LOOK)
+        drive.wait(_LOOK_INTERVAL)
         moved = abs(drive.read("position_actual").si - before)
         if moved <= _AT_REST_COUNTS * step:
             return 0.0
@@ -368,13 +368,13 @@ def prove_watchdog(
         if drive.state().in_fault:
             drive.reset_fault()
         moved = drive.read("position_actual").si - begin
-        if abs(moved) > _STAYS * travel:
+        if abs(moved) > _LARGEST_MOVE_IN_PROOF * travel:
             raise PreflightRefused(
                 f"the axis, or its encoder, moved by {moved:+.3g} (of ±{travel:.4g} that are "
                 "allowed) while the watchdog was proved with the torque that holds it: find out "
                 "why first",
                 code="watchdog.moved",
                 value=moved,
-                limit=_STAYS * travel,
+                limit=_LARGEST_MOVE_IN_PROOF * travel,
             )
     return found

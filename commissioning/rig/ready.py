@@ -26,10 +26,10 @@ __all__ = ["Ready", "record_of"]
 
 T = TypeVar("T")
 
-_SOUND = 0.35, 0.72  # f/d1 of well-conditioned oscillations
-_KNOWN = 0.3  # relative half-width of f up to which it is worth a new design
-_CHANGED = 0.87  # of d1: a smaller change is none
-_STALL = 1.5  # cycles
+_SOUND_SHARE = 0.35, 0.72  # f/d1 of well-conditioned oscillations
+_WIDEST_KNOWN = 0.3  # relative half-width of f up to which it is worth a new design
+_LEAST_CHANGE = 0.87  # of d1: a smaller change is none
+_STALL_CYCLES = 1.5  # cycles
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,11 +80,11 @@ class Ready:
         )  # fmt: skip
 
     def redesigned(self, found: ModulatingEstimate) -> Ready | None:
-        """With oscillations by what a first record tells; None: they were right."""
+        """The axis with other oscillations, by a first record; None: they were right."""
         f, before = found.coulomb.value, self.design
-        if not 0 < f < self.context.torque or found.coulomb.half_width > _KNOWN:
+        if not 0 < f < self.context.torque or found.coulomb.half_width > _WIDEST_KNOWN:
             return None
-        if not found.inertia.value > 0 or _SOUND[0] <= f / before.d1 <= _SOUND[1]:
+        if not found.inertia.value > 0 or _SOUND_SHARE[0] <= f / before.d1 <= _SOUND_SHARE[1]:
             return None
         known = replace(
             self.known,
@@ -101,7 +101,7 @@ class Ready:
         except (MeasurementRejected, PreflightRefused):
             return None
         d1, d2 = again.design.d1, again.design.d2
-        if d1 >= _CHANGED * before.d1 and d1 * _CHANGED <= before.d1:
+        if d1 >= _LEAST_CHANGE * before.d1 and d1 * _LEAST_CHANGE <= before.d1:
             return None
         e = self.units.effort
         self.context.tell(
@@ -114,7 +114,7 @@ class Ready:
         return self.mover.move(plan, self.envelope, self.known.offset)
 
     def attempt(self, plan: Plan[T]) -> T:
-        """The same for what need not be: a limit that ends it rejects it, once the axis is safe."""
+        """Drive a plan that need not be: a limit that ends it rejects it, once the axis is safe."""
         try:
             return self.run(plan)
         except EnvelopeTripped as error:
@@ -124,7 +124,7 @@ class Ready:
 
     @property
     def time_left(self) -> float:
-        """Of the duration that is allowed, s."""
+        """Time that is left of the allowed duration, s."""
         return self.duration - self.mover.spent
 
     def heat(self, torque: float, seconds: float) -> float:
@@ -141,7 +141,7 @@ class Ready:
         early = begin - self.design.period
         cut = [s for s in self.mover.recorder.samples if early <= s.time <= end]
         # a host that stalls within an exchange stamps it wrongly; the next one's lateness shows it
-        stall = _STALL * self.context.cycle
+        stall = _STALL_CYCLES * self.context.cycle
         kept = [
             s for s, after in zip(cut, [*cut[1:], cut[-1]], strict=True) if after.lateness <= stall
         ]

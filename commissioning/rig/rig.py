@@ -32,8 +32,8 @@ __all__ = ["Rig"]
 
 _THERMAL = 5.0  # s at twice-and-a-bit the rated torque: budget in rated² seconds
 _BRAKING_SHARE = 0.7  # of the braking that was seen, for what is certain
-_COASTS = 1.5  # of the time that friction alone takes to stop the axis
-_NOTICE = 4  # cycles: three missed ones and the one under way
+_COASTING_MARGIN = 1.5  # of the time that friction alone takes to stop the axis
+_CYCLES_TO_NOTICE = 4  # cycles: three missed ones and the one under way
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +206,7 @@ class Rig:
         self.mover.clear_own_fault()
         friction = known.coulomb - abs(known.offset)
         coasting = known.inertia * speed / max(friction, 0.1 * known.coulomb)
-        moved = still_moving(self.drive, 1.0 + _COASTS * coasting)
+        moved = still_moving(self.drive, 1.0 + _COASTING_MARGIN * coasting)
         if moved:
             raise DriveFault(
                 "the stop path could not be proved: the drive has no energy any more, and the axis "
@@ -229,6 +229,6 @@ class Rig:
         )
         watchdog = self.drive.watchdog
         silent = watchdog.timeout if watchdog.kind != "none" else 0.0
-        reaction = max(_NOTICE * cycle, silent) + delay
-        watches = silent if silent > _NOTICE * cycle else 0.0
+        reaction = max(_CYCLES_TO_NOTICE * cycle, silent) + delay
+        watches = silent if silent > _CYCLES_TO_NOTICE * cycle else 0.0
         return Stopping(known.inertia, known.coulomb, certain, reaction, delay, watches)

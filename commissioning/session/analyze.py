@@ -1,4 +1,4 @@
-"""The same mathematics on a recording of any tool."""
+"""A recording of any tool, read with the mathematics of an experiment."""
 
 from __future__ import annotations
 

@@ -33,9 +33,9 @@ __all__ = ["Latency", "dead_time", "latency"]
 Array = NDArray[np.float64]
 
 _FLAT_OUT = 2e-4  # s: a cycle that no link holds, so that its own time is left
-_SPARE = 1.3  # of the 99th percentile
+_SPARE_TIME = 1.3  # of the 99th percentile
 _GRID = 5e-4  # s: cycles are rounded up to these
-_LATE = 0.5  # of a cycle: late
+_LATE_SHARE = 0.5  # of a cycle: late
 _PATIENCE = 2.0  # s for one answer
 _LONGEST, _FEWEST = 10.0, 30  # s of one kind of measurement; values
 _WATCHDOG_GRID = 0.01  # s
@@ -68,13 +68,13 @@ class Latency:
     def watchdog(self) -> float:
         """Silence that the drive's watchdog has to bear on this link, s."""
         slowest = float(np.max(self.exchange, initial=0.0))
-        needed = max(GUARDS * _SPARE * slowest, CYCLES_A_WATCHDOG * self.cycle)
+        needed = max(GUARDS * _SPARE_TIME * slowest, CYCLES_A_WATCHDOG * self.cycle)
         return ceil(needed / _WATCHDOG_GRID) * _WATCHDOG_GRID
 
     @property
     def late_share(self) -> float:
         """Share of the cycles that came late by half a cycle or more."""
-        return float(np.mean(self.lateness > _LATE * self.cycle))
+        return float(np.mean(self.lateness > _LATE_SHARE * self.cycle))
 
     @property
     def shortest_period(self) -> float:
@@ -131,7 +131,7 @@ def latency(axis: Axis, count: int, desk: Desk) -> Latency:
         desk.tell(f"{count} cycles, as fast as they go; the drive stays de-energised")
         times = _taken((e.time for e in drive.rehearsal.cycles(count + 1)), count + 1, desk)
     exchange = np.diff(np.array(times))
-    cycle = ceil(_SPARE * float(np.quantile(exchange, 0.99)) / _GRID) * _GRID
+    cycle = ceil(_SPARE_TIME * float(np.quantile(exchange, 0.99)) / _GRID) * _GRID
     with connect(patient, cycle, desk, "latency") as drive:
         desk.tell(f"{count} cycles of {cycle * 1000:g} ms")
         kept = _taken(drive.rehearsal.cycles(count), count, desk)

@@ -36,8 +36,8 @@ __all__ = ["DriveLoop", "Tuned", "tune", "tune_run"]
 
 Array = NDArray[np.float64]
 
-_SHOWN = 100  # points of a step's picture
-_SEEN = 7  # harmonics of a square wave that show the axis
+_STEP_POINTS = 100  # points of a step's picture
+_HARMONICS_SEEN = 7  # harmonics of a square wave that show the axis
 _RIGID, _RIGID_NOISE = 0.006, 3.0  # of the torque, and times the noise: left by a rigid axis
 _HARMONICS_AGREE = 0.05  # of the friction
 _MOST_PERIODS = 200  # of a drive's loops in their dead time
@@ -197,7 +197,7 @@ def _seen(result: RunResult, watched: Experiment) -> float:
     elif exact is not None and exact.harmonics:
         f = exact.harmonics
         rigid = abs(f.get("5", 0.0) / (f.get("1") or 1.0) - 1) < _HARMONICS_AGREE
-    return float((_SEEN if rigid else 1) * fundamental)
+    return float((_HARMONICS_SEEN if rigid else 1) * fundamental)
 
 
 def _own_loop(profile: Profile, drive: DriveLoop, lag: float) -> tuple[float, float] | None:
@@ -298,7 +298,7 @@ def _finite(value: float) -> float | None:
 
 def _curve(step: StepCourse) -> Array:
     """Time and position, thinned for a picture, (2, n)."""
-    stride = max(len(step.time) // _SHOWN, 1)
+    stride = max(len(step.time) // _STEP_POINTS, 1)
     return np.stack((np.asarray(step.time)[::stride], np.asarray(step.position)[::stride]))
 
 

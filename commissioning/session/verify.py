@@ -38,9 +38,9 @@ from profiles.schema import Profile
 __all__ = ["Wishes", "provable", "verify"]
 
 _STEPS = 0.5, 0.7  # of the friction; then the fraction of the run
-_WORSE = 1.05  # of the error before, and
-_NOISE = 2.0  # counts more: from here on a step does harm
-_SHOWN = 400  # points of a trace
+_HARMFUL_RISE = 1.05  # of the error before, and
+_HARMFUL_COUNTS = 2.0  # counts more: from here on a step does harm
+_TRACE_POINTS = 400  # points of a trace
 
 Raw = dict[str, int]
 Array = NDArray[np.float64]
@@ -169,7 +169,7 @@ def _no_help(result: RunResult, steps: list[_Step]) -> DoesNotHelp:
         + (
             ". The error grows with it: is the compensation's sign right in the profile "
             "(negative_sign), and the drive's polarity?"
-            if last.reversal > _WORSE * before.reversal
+            if last.reversal > _HARMFUL_RISE * before.reversal
             else ""
         )
         + "; the values from before the run are back in the drive"
@@ -191,7 +191,7 @@ def _check(result: RunResult, run_id: str) -> None:
 
 
 def _options(result: RunResult, wishes: Wishes, *, adopted: bool) -> Options:
-    """Those of the run, unless they are given anew.
+    """Options of the run, unless they are given anew.
 
     Of an adopted run nobody here has agreed to any.
     """
@@ -352,7 +352,10 @@ def _raise(rig: Rig, result: RunResult) -> tuple[list[_Step], _Step | None]:
         if not fraction:
             continue
         before = steps[0].error
-        limit = _WORSE * (kept or steps[0]).error.reversal + _NOISE * rig.context.resolution
+        limit = (
+            _HARMFUL_RISE * (kept or steps[0]).error.reversal
+            + _HARMFUL_COUNTS * rig.context.resolution
+        )
         harm = step.error.reversal > limit
         if harm or (step.error.hunts and not before.hunts):
             break
@@ -398,6 +401,6 @@ def _columns(samples: list[Sample]) -> tuple[Array, Array]:
 
 def _trace(samples: TrackingSamples, command: Array, error: Array, start: float) -> Array:
     """Time, command and error of the reversals, thinned for a picture, (3, n)."""
-    every = max(1, len(error) // _SHOWN)
+    every = max(1, len(error) // _TRACE_POINTS)
     time = np.array([s.time for s in samples.reversals], np.float64)
     return np.stack((time - time[0], command - start, error))[:, ::every]

@@ -30,7 +30,7 @@ _BAND = 1 / 2**0.5
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """Of one loop, broken at the plant's input.
+    """Margins of one loop, broken at the plant's input.
 
     Attributes
     ----------

@@ -48,10 +48,10 @@ LoopName = Literal["host", "drive"]
 Source = Literal["naive", "corrected"]
 
 FEWEST_CYCLES = 10  # of the loop in a period of a point: below, the loop cannot be closed there
-_ANY = -190.0  # degrees: the point of a drive's loop for a rule that takes any
-_STUCK = 0.1  # of the step: friction stops the axis short of its goal
-_OVERSHOOT = 0.5  # of the step
-_SEEN = 1.1  # of the frequency to which the axis was seen: how fast a loop may be
+_PHASE_OF_ANY_POINT = -190.0  # degrees: the point of a drive's loop for a rule that takes any
+_LARGEST_ERROR = 0.1  # of the step: friction stops the axis short of its goal
+_LARGEST_OVERSHOOT = 0.5  # of the step
+_BEYOND_SEEN = 1.1  # of the frequency to which the axis was seen: how fast a loop may be
 _STEP_SHARE = 0.05  # of the travel
 _DEFAULT_CROSSOVER = 0.3  # over the loop's delay, for the step of a loop without one
 
@@ -175,7 +175,7 @@ class _Points:
     def any(self, source: Source) -> CriticalPoint:
         """The relay's own point."""
         if self.loop == "drive":
-            return self._autotuned(0.0) if source == "naive" else self._at(_ANY)
+            return self._autotuned(0.0) if source == "naive" else self._at(_PHASE_OF_ANY_POINT)
         known = self.known
         point = known.naive if source == "naive" else known.corrected
         if point is None:
@@ -338,24 +338,24 @@ def _why_not(worth: Margins, moved: StepCourse | None, known: AxisKnown) -> NotP
             NotProposed("gains.sensitivity", f"its sensitivity Ms is above {MOST_SENSITIVITY:g}"),
         ),
         (
-            worth.crossover is not None and worth.crossover > _SEEN * known.seen,
+            worth.crossover is not None and worth.crossover > _BEYOND_SEEN * known.seen,
             NotProposed(
                 "gains.too-fast",
                 f"the axis was seen up to {known.seen:.3g} rad/s, and may have a resonance beyond",
             ),
         ),
         (
-            moved is not None and abs(moved.error) + moved.hunting > _STUCK * goal,
+            moved is not None and abs(moved.error) + moved.hunting > _LARGEST_ERROR * goal,
             NotProposed(
                 "gains.off-goal", "friction stops the axis short of its goal, or it hunts about it"
             ),
         ),
         (
-            moved is not None and moved.overshoot > _OVERSHOOT,
+            moved is not None and moved.overshoot > _LARGEST_OVERSHOOT,
             NotProposed(
                 "gains.overshoots",
-                f"it overshoots by more than {100 * _OVERSHOOT:.0f} % with this friction and "
-                "torque limit",
+                f"it overshoots by more than {100 * _LARGEST_OVERSHOOT:.0f} % with this friction "
+                "and torque limit",
             ),
         ),
         (

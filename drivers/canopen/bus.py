@@ -229,7 +229,7 @@ class CanopenBus:
         return [self._posted[at] for at in refused if at in self._posted]
 
     def descriptor(self) -> int | None:
-        """Of a serial adapter; other adapters are shared."""
+        """Descriptor of a serial adapter; other adapters are shared."""
         return self._wire.descriptor
 
     def port(self) -> SerialPort | None:

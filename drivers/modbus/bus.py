@@ -201,7 +201,7 @@ class ModbusBus:
             self._words[at.register_] = words[0]
 
     def descriptor(self) -> int | None:
-        """Of the serial port, or of a connection that the drive allows only one of."""
+        """Descriptor of the serial port, or of a connection that the drive allows only one of."""
         if self._profile.link.sharing == "shared" and not self._client.serial:
             return None
         return self._client.descriptor()

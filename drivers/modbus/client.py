@@ -43,8 +43,8 @@ __all__ = ["POST_ANSWER", "Client", "NoAnswer"]
 BytesTrace = Callable[[bool, bytes], None]
 
 POST_ANSWER = 0.01  # s that a posted write may hold up the next one
-_QUIET = 0.001  # s before a request outside the cycle
-_TIMES = 1.5  # the longest answer: a watchdog whose three missed cycles outlast it
+_QUIET_TIME = 0.001  # s before a request outside the cycle
+_WATCHDOG_MARGIN = 1.5  # the longest answer: a watchdog whose three missed cycles outlast it
 _NO_TIME = 5e-4  # s
 
 
@@ -87,7 +87,7 @@ class Client:
         self._silence = Silence(wire.silence) if wire.silence else None
         self._is_line = isinstance(wire, RtuLine) or wire.rtu
         self._incoming: Incoming = LineIncoming() if self._is_line else MbapIncoming()
-        self.quiet_time = _QUIET
+        self.quiet_time = _QUIET_TIME
         self._owed = 0  # answers that have not come
         self._owed_until = 0.0
         self._late = b""  # of them
@@ -238,7 +238,8 @@ class Client:
             raise NoAnswer(
                 f"{self.where} still owes an answer: nothing is sent until it has come, or "
                 f"{self._longest:g} s have passed ([link] longest_answer in the profile: no longer "
-                f"than answers may be late); a --watchdog of {_TIMES * self._longest:.2g} bears it"
+                "than answers may be late); a --watchdog of "
+                f"{_WATCHDOG_MARGIN * self._longest:.2g} bears it"
             )
         missed = self._missed if self._owed else None
         self._owed, self._late, self._missed = 0, b"", None
@@ -375,7 +376,7 @@ class Client:
         return isinstance(self._wire, RtuLine)
 
     def descriptor(self) -> int | None:
-        """Of the port or the connection.
+        """Descriptor of the port or the connection.
 
         None where it cannot be lent (TLS, closed, a port on Windows).
         """

@@ -130,17 +130,17 @@ class CompliantPlant:
 
     @property
     def position(self) -> float:
-        """Of the motor as it is measured, rad or m."""
+        """Position of the motor as it is measured, rad or m."""
         return self._state.measured if self.parameters.output_filter else self._state.x1
 
     @property
     def velocity(self) -> float:
-        """Of the motor, rad/s or m/s."""
+        """Velocity of the motor, rad/s or m/s."""
         return self._state.v1
 
     @property
     def torque(self) -> float:
-        """That acts on the motor, behind the lag, N.m or N."""
+        """Torque that acts on the motor, behind the lag, N.m or N."""
         return self._state.torque
 
     @property

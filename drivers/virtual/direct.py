@@ -136,7 +136,7 @@ class DirectBus:
         return _new(Exchange, (feedback, values, sent, firmware.now / SECOND, 0.0, 0))
 
     def _habitual_exchange(self, values: tuple[int, ...], sent: float) -> Exchange:
-        """The same through the registers, where habits are."""
+        """One cycle through the registers, where habits are."""
         cycle = self._profile.cycle
         known = self._profile.parameters
         for name, raw in zip(cycle.out, values, strict=True):
@@ -146,7 +146,7 @@ class DirectBus:
         return _new(Exchange, (feedback, values, sent, self._firmware.now / SECOND, 0.0, 0))
 
     def _bad_exchange(self, values: tuple[int, ...], sent: float) -> Exchange:
-        """The same on a link that is late, loses samples, and stamps them wrongly."""
+        """One cycle on a link that is late, loses samples, and stamps them wrongly."""
         firmware, axis, draw = self._firmware, self._firmware.axis, self._random
         missed, lateness = 0, 0.0
         while True:

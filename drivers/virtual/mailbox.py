@@ -38,7 +38,7 @@ class VirtualMailbox:
 
     @property
     def registers(self) -> frozenset[int]:
-        """Those that the mailbox is made of."""
+        """Registers that the mailbox is made of."""
         box = self._box
         single = (box.pnu, box.sub, box.elements, box.request, box.length)
         return frozenset((*single, *range(box.data, box.data + 4)))

@@ -6,7 +6,7 @@ from commissioning.result.changes import Change, Host
 from commissioning.result.found import Found
 from drivers.described import Described, Parameters
 from drivers.errors import WriteFailed
-from drivers.writing import why_not_written
+from drivers.writing import reasons_not_written
 from profiles.law import Amount, Compensation, TermValue
 
 __all__ = ["host_terms", "propose"]
@@ -67,9 +67,9 @@ def host_terms(
 
 def _change(what: Described, wanted: TermValue, old: int) -> Change:
     raw = what.checked_raw(wanted.value)
-    refused = why_not_written(what, raw, old=old)
-    if refused is not None and refused.code == "write.step":
-        raise WriteFailed(refused.text, code=refused.code, parameter=what.name)
+    for refused in reasons_not_written(what, raw, old):
+        if refused.code == "write.step":
+            raise WriteFailed(refused.text, code=refused.code, parameter=what.name)
     held = what.si(raw)
     return Change(
         what.name, held, what.unit, held - wanted.value, raw, what.raw_unit, what.si(old), old,

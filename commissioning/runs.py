@@ -214,9 +214,9 @@ class RunFolder:
             with np.load(data, allow_pickle=False) as archive:
                 columns = {name: np.asarray(archive[name], float) for name in _COLUMNS}
                 phases = [
-                    _phase(*told)
-                    for told in json.loads(str(archive["phases"]))
-                    if int(told[0]) >= 0
+                    _phase(int(at), str(text), *kind)
+                    for at, text, *kind in json.loads(str(archive["phases"]))
+                    if int(at) >= 0
                 ]
                 curves |= {
                     name.removeprefix(_CURVE): np.asarray(archive[name], float)
@@ -391,8 +391,8 @@ def _check_columns(columns: dict[str, Array]) -> None:
 def _phase(at: int, text: str, kind: str | None = None) -> Phase:
     """A phase as samples.npz has it."""
     if kind is None:
-        kind = "detail" if str(text).startswith(_DETAILS_OF_0_1) else "step"
-    return Phase(int(at), "detail" if kind == "detail" else "step", str(text))
+        kind = "detail" if text.startswith(_DETAILS_OF_0_1) else "step"
+    return Phase(at, "detail" if kind == "detail" else "step", text)
 
 
 def _check_array(packed: zipfile.ZipFile, item: zipfile.ZipInfo) -> None:

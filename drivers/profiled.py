@@ -13,7 +13,14 @@ from drivers.bus import SET, Bus, StopFrames
 from drivers.counter import Counter
 from drivers.described import Described, described
 from drivers.drive import DriveSays, StopReport, Value
-from drivers.errors import LinkError, NoAnswer, PreflightRefused, WriteDenied, WriteFailed
+from drivers.errors import (
+    AccessDenied,
+    LinkError,
+    NoAnswer,
+    PreflightRefused,
+    WriteDenied,
+    WriteFailed,
+)
 from drivers.line import Line
 from drivers.modes import Modes, SetPoint
 from drivers.power import perform, power_of
@@ -209,11 +216,11 @@ class ProfiledDrive:
         )
 
     def _error_code(self) -> int | None:
-        """0: none, or the drive has no such object; None: there was no answer."""
-        try:
-            return self._access.optional("error_code") or 0
-        except LinkError:
-            return None
+        """0: none, or the drive has no such object; None: there was no answer, twice."""
+        for _ in range(2):
+            with contextlib.suppress(LinkError, AccessDenied):
+                return self._access.optional("error_code") or 0
+        return None
 
     def _is_energised(self) -> bool:
         return self._access.patiently(self._power.is_energised)

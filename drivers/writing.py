@@ -8,7 +8,7 @@ from typing import NamedTuple
 from drivers.described import Described
 from profiles.parameter import Protection, Trust
 
-__all__ = ["WhyNot", "why_not_written"]
+__all__ = ["WhyNot", "reasons_not_written", "why_not_written"]
 
 _FOR_GOOD = Protection.COMPENSATION, Protection.GAIN
 _SETTINGS = Protection.EXPERIMENT, *_FOR_GOOD
@@ -44,17 +44,18 @@ def why_not_written(
     kind : the protection that it must have
     is_command : it belongs to what commands the drive, and is put back like a setting
     """
-    return next(_reasons(what, raw, old, kind, is_command=is_command), None)
+    return next(reasons_not_written(what, raw, old, kind, is_command=is_command), None)
 
 
-def _reasons(
+def reasons_not_written(
     what: Described,
     raw: int | None,
     old: int | None,
-    kind: Protection | None,
+    kind: Protection | None = None,
     *,
-    is_command: bool,
+    is_command: bool = False,
 ) -> Iterator[WhyNot]:
+    """Every reason, the weightiest first."""
     says, name = what.parameter, f"'{what.name}'"
     by = f"in profile '{what.profile}'"
     if kind is not None and says.protection is not kind and not is_command:

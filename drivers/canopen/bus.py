@@ -260,9 +260,7 @@ class CanopenBus:
             check_sync(self._wire, self.cycle)
         self._wire.drain()
         if self.in_real_time:
-            old = self._liveness.ask()
-            if old is not None:
-                self._old[HEARTBEAT_PRODUCER] = old
+            self._liveness.ask(partial(self._old.__setitem__, HEARTBEAT_PRODUCER))
         if self._state_before is None:
             self._state_before = self._wire.heartbeat_state
         self._wire.nmt(PRE_OPERATIONAL)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from time import perf_counter
 
 from drivers.canopen.pdo import HEARTBEAT_PRODUCER
@@ -37,23 +38,21 @@ class Liveness:
         except AccessDenied:
             return None
 
-    def ask(self) -> int | None:
+    def ask(self, note: Callable[[int], None]) -> None:
         """See that the node tells that it lives: by its heartbeat (1017h), or as it is guarded.
 
-        Returns the producer heartbeat time that was there, where that was changed, ms.
         A node does not do both (CiA 301, 7.2.8.2.2.3). One that tells nothing is known by its TPDO
-        alone.
+        alone. `note` : told the producer heartbeat time that was there, ms, once it is another.
         """
         wire, every = self._wire, self.time()
-        old: int | None = None
         is_guarded = self._is_guarded
         wanted = self.wanted(every)
         if every is not None and every != wanted:
             try:
                 self._pdos.download(HEARTBEAT_PRODUCER, wanted)
             except AccessDenied:
-                return None
-            old = every
+                return
+            note(every)
         self._silence_allowed = _HEARTBEATS_MISSED * (wanted or _HEARTBEAT_EVERY) / 1000
         if is_guarded or (every is None and wire.can_guard):
             wire.guard()  # which tells the state, too
@@ -61,7 +60,6 @@ class Liveness:
         wire.pump_until(lambda: wire.heartbeat_state is not None, patience)
         if every is None and not is_guarded:
             self._silence_allowed = 0.0
-        return old
 
     def wanted(self, every: int | None) -> int:
         """Producer heartbeat time, ms: that which is there, and none of a node that is guarded."""

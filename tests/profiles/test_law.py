@@ -1,0 +1,73 @@
+"""A compensation law: what each term is given, and of which a share can be tried."""
+
+from __future__ import annotations
+
+import pytest
+
+from profiles.law import Amount, Compensation, CompensationLaw, TablePoint
+
+AMOUNT = Amount(coulomb=0.8, offset=0.1, viscous=0.02, share="80 %", motor_speed=0.5)
+LAWS: dict[CompensationLaw, dict[str, object]] = {
+    CompensationLaw.NONE: {},
+    CompensationLaw.HOST: {"host": "h"},
+    CompensationLaw.OFFSET_ASYMMETRIC: {"positive": "p", "negative": "n", "offset": "o"},
+    CompensationLaw.SINGLE_GAIN: {"gain": "g"},
+    CompensationLaw.SATURATED_LINEAR: {"gain": "g", "speed": "s", "offset": "o"},
+    CompensationLaw.COULOMB_VISCOUS: {
+        "positive": "p", "negative": "n", "viscous": "b", "offset": "o",
+    },
+    CompensationLaw.TABLE: {
+        "points": "k",
+        "table": (TablePoint(speed="s1", torque="t1", at=2.0),
+                  TablePoint(speed="s2", torque="t2", at=10.0)),
+    },
+}  # fmt: skip
+# by hand from what each law adds to the torque (reference: compensation laws)
+VALUES = {
+    CompensationLaw.NONE: {},
+    CompensationLaw.HOST: {},
+    CompensationLaw.OFFSET_ASYMMETRIC: {"o": 0.1, "p": 0.8, "n": 0.8},
+    CompensationLaw.SINGLE_GAIN: {"g": 0.8},
+    CompensationLaw.SATURATED_LINEAR: {"o": 0.1, "g": 0.8},  # the speed stays the drive's
+    CompensationLaw.COULOMB_VISCOUS: {"o": 0.1, "p": 0.8, "n": 0.8, "b": 0.02},
+    CompensationLaw.TABLE: {
+        "s1": 1.0, "t1": 0.8 + 0.02 * 1.0, "s2": 5.0, "t2": 0.8 + 0.02 * 5.0, "k": 2.0,
+    },
+}  # fmt: skip
+FRICTION = {
+    CompensationLaw.NONE: set(),
+    CompensationLaw.HOST: set(),
+    CompensationLaw.OFFSET_ASYMMETRIC: {"p", "n"},
+    CompensationLaw.SINGLE_GAIN: {"g"},
+    CompensationLaw.SATURATED_LINEAR: {"g"},
+    CompensationLaw.COULOMB_VISCOUS: {"p", "n", "b"},
+    CompensationLaw.TABLE: {"t1", "t2"},
+}
+
+
+@pytest.mark.parametrize("law", CompensationLaw)
+def test_what_a_law_is_given(law: CompensationLaw) -> None:
+    found = Compensation.model_validate({"law": law, **LAWS[law]})
+    values = {name: wanted.value for name, wanted in found.values(AMOUNT).items()}
+    assert values == pytest.approx(VALUES[law])
+    assert found.friction == FRICTION[law]
+
+
+def test_the_negative_direction_may_be_stored_with_its_sign() -> None:
+    law = Compensation(
+        law=CompensationLaw.OFFSET_ASYMMETRIC, positive="p", negative="n", negative_sign=-1
+    )
+    assert law.values(AMOUNT)["n"].value == -0.8
+
+
+def test_what_is_not_known_is_not_written() -> None:
+    law = Compensation.model_validate(
+        {"law": CompensationLaw.COULOMB_VISCOUS, **LAWS[CompensationLaw.COULOMB_VISCOUS]}
+    )
+    unknown = AMOUNT._replace(offset=None, viscous=None)
+    assert set(law.values(unknown)) == {"p", "n"}
+
+
+def test_each_term_says_which_share_it_is() -> None:
+    law = Compensation(law=CompensationLaw.SINGLE_GAIN, gain="g")
+    assert law.values(AMOUNT)["g"].why == "80 % of the Coulomb friction"

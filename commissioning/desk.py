@@ -110,16 +110,19 @@ def none_unfinished(desk: Desk, serial: str, link: str) -> None:
     A drive that tells no serial number is the one on `link`.
     """
     for run in desk.journal.unfinished(serial, lambda other: same_place(link, other)):
-        context = desk.journal.run(run).context
+        record = desk.journal.run(run)
+        context = record.context
         if context.pid != os.getpid() and is_alive(context.pid, context.started):
             raise Refused(
                 f"run {run} is still in progress on this drive (process {context.pid})",
                 code="run.in-progress",
             )
+        there = "" if same_place(record.link, link) else f' --link "{link}"'
         raise Refused(
-            f"run {run} on this drive was cut off and left settings changed; "
-            f"'tworelay restore {run}' puts them back",
+            f"run {run} on this drive was cut off and left settings changed",
             code="run.cut-off",
+            hint=f"'tworelay restore {run}{there}' puts them back",
+            run=run,
         )
 
 

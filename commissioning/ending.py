@@ -133,7 +133,7 @@ def erring(result: RunResult, error: TwoRelayError) -> RunResult:
     """The result of an act on a run that ended with `error`."""
     numbers = {name: fact for name, fact in error.facts.items() if not isinstance(fact, str)}
     names = {name: fact for name, fact in error.facts.items() if isinstance(fact, str)}
-    said = Error(error.code, str(error), error.hint, numbers, names)
+    said = Error(error.code, error.whole, error.hint, numbers, names)
     return replace(result, status=error.status, error=said)
 
 

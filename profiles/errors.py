@@ -88,6 +88,11 @@ class TwoRelayError(Exception):
         """Add what else there is to say: how a clean-up went, what was left."""
         self._more.append(" ".join(str(text).split()))
 
+    @property
+    def whole(self) -> str:
+        """The text with what was added, and without the hint."""
+        return "; ".join((self.text, *self._more))
+
     def __str__(self) -> str:
         return "; ".join(filter(None, (self.text, self.hint, *self._more)))
 

@@ -77,7 +77,7 @@ def command(
     for found in result.tuning:
         if found.best and found.parameters:
             screen.say(f"to write it: tworelay apply {result.run} --gains {found.rule}")
-    screen.say(f"run {result.run}")
+    show.ending(result, screen)
 
 
 _OF_A_RUN = {"target", "drive_dead_time", "drive_period", "json_target", "yes", "verbose"}

@@ -18,6 +18,7 @@ __all__ = ["LONG", "SHORT", "PeriodNeeds", "RelayDesign", "design", "travel_need
 _D1_FRICTION, _D1_BREAKAWAY = 1.7, 1.3
 _RATIO, _LEAST_RATIO = 1.8, 1.4
 _SHORTEST_PERIOD = 0.1  # s
+_SHORTEST_WATCHDOG = 0.005  # s, that can be asked for
 _FEWEST_COUNTS = 300  # encoder counts of half-swing, by what the first look knows
 _TORQUE_SHARE = 0.97  # of the limit; the rest is for the bias to move
 _TRAVEL_SHARE = 0.7  # of the travel: what the worst stop may take
@@ -179,7 +180,7 @@ def _no_room(context: Context, stopping: Stopping, pair: _Pair) -> str:
             stopping.reaction - stopping.delay,
         )
         left = stopping.reaction - stopping.delay - (slower or 0.0)
-        if by_watchdog and left > 3 * context.cycle:
+        if by_watchdog and left / _SPARE >= max(3 * context.cycle / _SPARE, _SHORTEST_WATCHDOG):
             ways.append(f"--watchdog {left / _SPARE:.2g}")
         elif not by_watchdog:
             ways.append(f"a shorter --cycle (now {context.cycle * 1000:g} ms)")

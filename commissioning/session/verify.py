@@ -183,7 +183,13 @@ def _check(result: RunResult, run_id: str) -> None:
             f"run {run_id} cannot be verified: its friction is {coulomb.value:.3g}",
             code="verify.no-friction",
         )
-    if not result.measured or not result.compensation:
+    changes = result.compensation
+    if result.measured and changes and all(change.new == change.old for change in changes):
+        raise Refused(
+            f"run {run_id} cannot be verified: it proposes what was there before",
+            code="verify.no-proposal",
+        )
+    if not result.measured or not changes:
         reason = (
             "it proposes no compensation" if result.measured else f"its status is '{result.status}'"
         )
@@ -329,7 +335,8 @@ def _raise(rig: Rig, result: RunResult) -> tuple[list[_Step], _Step | None]:
     inertia = found.inertia.value if found.inertia else None
     path = path_for(rig.context, found.coulomb.value, inertia)
     new = {change.parameter: change.new_raw for change in result.compensation}
-    asked = desk.journal.run(rig.settings.run).context.fraction or rig.options.fraction
+    of_run = desk.journal.run(rig.settings.run).context.fraction
+    asked = rig.options.fraction if of_run is None else of_run
     verified = result.verification  # before: the run holds what stayed then
     goal = (verified.kept_fraction if verified else None) or asked
     sets = [(0.0, _share(drive, new, 0.0))]

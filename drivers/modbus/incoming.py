@@ -174,7 +174,8 @@ class LineIncoming(Incoming):
             data, self._echo_is_due = data[at + len(self._request) :], False
         frames = _frames_in(data)
         left = sum(frames[-1]) if frames else 0
-        answers = sum(data[at] == self._request[0] for at, _ in frames)
+        ours = self._request[:1]  # nobody's, before the first request
+        answers = sum(data[at : at + 1] == ours for at, _ in frames)
         return data[left:][-_MOST_HELD:], answers
 
     def stranger(self) -> int | None:

@@ -149,3 +149,8 @@ def test_an_answer_that_comes_late_is_found_behind_the_echo_that_came_late_too()
     assert line.late_in(left + ANSWER[2:]) == (b"", 1)
     assert line.late_in(OTHER) == (b"", 0), "another unit's"
     assert line.late_in(b"\x00" + ANSWER + b"\x07") == (b"\x07", 1)
+
+
+def test_what_lies_on_a_line_before_the_first_request_is_nobody_s() -> None:
+    """The answer to a process that was killed."""
+    assert LineIncoming().late_in(ANSWER) == (b"", 0)

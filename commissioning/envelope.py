@@ -209,11 +209,12 @@ class Watch:
         if abs(moved) > _LARGEST_JUMP * e.travel:
             raise EnvelopeTripped(
                 f"the axis, or its encoder, moved by {moved:+.3g} {e.position_unit} while the "
-                "drive was enabled; the axis was stopped. Find out why first",
+                "drive was enabled; the axis was stopped",
                 code="limit.jump",
                 value=moved,
                 limit=_LARGEST_JUMP * e.travel,
                 unit=e.position_unit,
+                hint="find out why first",
             )
 
     def _check_direction(self, velocity: float, before: float) -> None:
@@ -227,8 +228,8 @@ class Watch:
             raise FeedbackReversed(
                 f"feedback: the speed turned to {before:+.3g} {e.position_unit}/s within one "
                 "cycle, which no torque does; the encoder's direction has changed, or the axis hit "
-                "something. The energy was taken away at once, for a quick stop would accelerate; "
-                "check the encoder and its cable"
+                "something. The energy was taken away at once, for a quick stop would accelerate",
+                hint="check the encoder and its cable",
             )
 
     def _trip(self, sample: Sample, speed: float, reach: float) -> None:
@@ -240,8 +241,8 @@ class Watch:
             raise FeedbackReversed(
                 f"feedback: the axis gained speed against its torque for {1000 * against:.0f} ms, "
                 f"from {slower:.3g} to {speed:.3g} {pu}/s; the direction of encoder or motor has "
-                "changed. The energy was taken away at once, for a quick stop would accelerate; "
-                "check encoder, motor cable and both directions"
+                "changed. The energy was taken away at once, for a quick stop would accelerate",
+                hint="check encoder, motor cable and both directions",
             )
         first = " for the first motions ({:.0f} % of {:.4g})" if e.cautious else ""
         if reach > self._travel:
@@ -250,21 +251,23 @@ class Watch:
             raise EnvelopeTripped(
                 f"travel: the axis is {at:+.4g} {pu} from its start at {speed:.3g} {pu}/s and "
                 f"would stop within {reach:.4g} {pu}, beyond ±{self._travel:.4g} {pu}{first}; the "
-                "axis was stopped. Give more --travel or less --max-torque",
+                "axis was stopped",
                 code="limit.travel",
                 value=reach,
                 limit=self._travel,
                 unit=pu,
+                hint="give more --travel or less --max-torque",
             )
         if speed > self._speed:
             first = first.format(100 * _FIRST_SPEED, e.speed)
             raise EnvelopeTripped(
                 f"speed: {speed:.4g} {pu}/s is above the limit of {self._speed:.4g} {pu}/s{first}; "
-                "the axis was stopped. Raise --max-speed if the machine allows it",
+                "the axis was stopped",
                 code="limit.speed",
                 value=speed,
                 limit=self._speed,
                 unit=f"{pu}/s",
+                hint="raise --max-speed if the machine allows it",
             )
         if self._heat > e.thermal:
             raise EnvelopeTripped(
@@ -276,10 +279,10 @@ class Watch:
                 unit=f"({tu})2.s",
             )
         raise EnvelopeTripped(
-            f"duration: the experiments take longer than {e.duration:.4g} s; the axis was stopped. "
-            "Raise --duration",
+            f"duration: the experiments take longer than {e.duration:.4g} s; the axis was stopped",
             code="limit.duration",
             value=sample.time - self._began,
             limit=e.duration,
             unit="s",
+            hint="raise --duration",
         )

@@ -79,7 +79,8 @@ class Journal:
             version = self._db.execute("PRAGMA user_version").fetchone()[0]
             if version > SCHEMA_VERSION:
                 raise JournalError(
-                    f"{path} was written by a newer tworelay (schema {version}); update tworelay"
+                    f"{path} was written by a newer tworelay (schema {version})",
+                    hint="update tworelay",
                 )
             if not reading:
                 prepare(self._db)
@@ -185,9 +186,9 @@ class Journal:
 
     def _damaged(self, error: Exception) -> JournalError:
         return JournalError(
-            f"the journal in {self.folder} is damaged ({error}); put back a copy of "
-            "journal.sqlite, or move it away (and keep it: what is to be restored in which drive "
-            "stands nowhere else)"
+            f"the journal in {self.folder} is damaged ({error})",
+            hint="put back a copy of journal.sqlite, or move it away (and keep it: what is to be "
+            "restored in which drive stands nowhere else)",
         )
 
     def note_stored(self, run: str, text: str) -> None:

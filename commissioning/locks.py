@@ -216,8 +216,9 @@ if sys.platform != "win32":
             except OSError as error:
                 raise Refused(
                     f"no lock can be made in {folder} ({error.strerror}): without it two programs "
-                    "could move one axis; remove what is there, or make it writable",
+                    "could move one axis",
                     code="refused.lock",
+                    hint="remove what is there, or make it writable",
                 ) from None
             self._file = os.fdopen(descriptor, "r+", encoding="utf-8", errors="replace")
             try:

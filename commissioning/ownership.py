@@ -39,8 +39,9 @@ def owned(link: str, doing: str) -> Generator[None]:
             except Taken as taken:
                 raise Refused(
                     f"another tworelay has the bus of {link} ({taken.owner}): wait for it, or end "
-                    "it; 'tworelay stop' works in spite of it",
+                    "it",
                     code="refused.owned",
+                    hint="'tworelay stop' works in spite of it",
                 ) from None
             _mine.locks[bus] = lock
             stack.callback(_give_back, bus)

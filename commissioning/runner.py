@@ -172,9 +172,10 @@ def _left_operation(drive: Drive) -> DriveFault:
             f"the drive left operation and cannot be asked why ({error})", code="drive.left"
         )
     return DriveFault(
-        f"the drive stopped by itself: {state}; remove the cause, then try again",
+        f"the drive stopped by itself: {state}",
         f"the drive ({state})",
         code="drive.stopped",
+        hint="remove the cause, then try again",
     )
 
 

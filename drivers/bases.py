@@ -73,8 +73,9 @@ def _torque_constant(profile: Profile, axis: Axis, rated: float, read: Read) -> 
     if current <= 0:
         raise PreflightRefused(
             f"profile '{profile.name}' has parameters in A, and the motor's rated current is not "
-            "known; give torque_constant (N.m/A) in the axis file",
+            "known",
             code="scale.current",
+            hint="give torque_constant (N.m/A) in the axis file",
         )
     return rated / current
 
@@ -84,23 +85,25 @@ def _rated_torque(profile: Profile, read: Read) -> float:
     base = profile.parameters.get("rated_torque")
     if base is None:
         raise PreflightRefused(
-            f"profile '{profile.name}' has no rated torque, so the torque scale is unknown; give "
-            "rated_torque (N.m of the motor) in the axis file",
+            f"profile '{profile.name}' has no rated torque, so the torque scale is unknown",
             code="scale.torque",
+            hint="give rated_torque (N.m of the motor) in the axis file",
         )
     told = read("rated_torque")
     if told is None:
         raise PreflightRefused(
             f"the drive does not tell its rated torque ({base.address}), so its torque scale is "
-            "unknown; give rated_torque (N.m of the motor) in the axis file",
+            "unknown",
             code="scale.torque",
+            hint="give rated_torque (N.m of the motor) in the axis file",
         )
     rated = told * base.scale
     if rated <= 0:
         raise PreflightRefused(
             f"the drive's rated torque ({base.address}) is {rated:g} N.m, so its torque scale is "
-            "unknown; set up the motor data in the drive, or give rated_torque in the axis file",
+            "unknown",
             code="scale.torque",
+            hint="set up the motor data in the drive, or give rated_torque in the axis file",
         )
     return rated
 
@@ -110,9 +113,9 @@ def _encoder(profile: Profile, read: Read) -> float:
     known = profile.parameters
     if "encoder_increments" not in known:
         raise PreflightRefused(
-            f"profile '{profile.name}' has no encoder resolution, so the position scale is "
-            "unknown; give encoder (increments per motor revolution) in the axis file",
+            f"profile '{profile.name}' has no encoder resolution, so the position scale is unknown",
             code="scale.position",
+            hint="give encoder (increments per motor revolution) in the axis file",
         )
     address = known["encoder_increments"].address
     increments = read("encoder_increments")
@@ -127,8 +130,9 @@ def _encoder(profile: Profile, read: Read) -> float:
     if encoder is None:
         raise PreflightRefused(
             f"the drive does not tell its encoder resolution ({address}), so its position scale is "
-            "unknown; give encoder (increments per motor revolution) in the axis file",
+            "unknown",
             code="scale.position",
+            hint="give encoder (increments per motor revolution) in the axis file",
         )
     return encoder
 
@@ -153,9 +157,9 @@ def _by_factors(encoder: float | None, read: Read) -> float:
     if found is None:
         raise PreflightRefused(
             "the drive does not tell its encoder resolution (608Fh:01), nor a feed constant "
-            "(6092h), so its position scale is unknown; give encoder (position units a motor "
-            "revolution) in the axis file",
+            "(6092h), so its position scale is unknown",
             code="scale.position",
+            hint="give encoder (position units a motor revolution) in the axis file",
         )
     if found < _FEWEST and encoder is not None and encoder > found:
         raise PreflightRefused(
@@ -178,9 +182,9 @@ def _ratio(read: Read, above: str, below: str, what: str) -> float | None:
 def _positive(numerator: int, denominator: int, what: str) -> float:
     if numerator <= 0 or denominator <= 0:
         raise PreflightRefused(
-            f"the drive's {what} is {numerator}/{denominator}: its position scale is unknown; set "
-            "it up in the drive, or give encoder in the axis file",
+            f"the drive's {what} is {numerator}/{denominator}: its position scale is unknown",
             code="scale.position",
+            hint="set it up in the drive, or give encoder in the axis file",
         )
     return numerator / denominator
 

@@ -56,6 +56,7 @@ class DriveSays(NamedTuple):
     in_fault : whether it reports a fault
     text : its state in words, with what it reported
     fault : fault and its code in words, or 'no fault'
+    code : error code, 0: none; None: it was not told, or not asked for, since there is energy
     stranger : an error code that is none of communication, in words; ''
     """
 
@@ -63,6 +64,7 @@ class DriveSays(NamedTuple):
     in_fault: bool
     text: str
     fault: str
+    code: int | None
     stranger: str
 
 

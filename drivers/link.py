@@ -113,9 +113,9 @@ def open_drive(
     except AccessDenied as error:
         bus.close()
         raise LinkError(
-            f"something answers on {link.text}, but not like profile '{profile.name}': {error}; "
-            "are unit or node and profile right?",
+            f"something answers on {link.text}, but not like profile '{profile.name}': {error}",
             code="link.profile",
+            hint="are unit or node and profile right?",
         ) from None
     except BaseException:
         bus.close()

@@ -22,6 +22,7 @@ __all__ = ["Cia402Power", "PowerStage", "ProcedurePower", "perform", "power_of"]
 _POLL = 0.005  # s between two looks at a state
 _BUSY = 0.05  # s until a busy drive is asked again
 
+_MOST_RETOLD = 3
 _TOLD_AGAIN = 10  # cycles after which a controlword that nobody heard is told again
 
 _WAY_UP = "switch on disabled", "ready to switch on", "switched on", "operation enabled"
@@ -205,7 +206,7 @@ class Cia402Power:
             frame[at] = cia402.SHUTDOWN if enabled else cia402.SWITCH_ON
         sent: tuple[str, int] | None = None
         cycles = reached = 0
-        heard = True
+        heard, retold = True, 0
 
         def turn() -> float:
             """The cycle feeds the drive's watchdog while brake and ramps take their time."""
@@ -237,7 +238,7 @@ class Cia402Power:
                     turn()  # which notices a drive that has restarted
                 if at is not None:
                     frame[at] = step
-                heard = self._tell(step, turn)
+                heard, retold = self._tell(step, turn), 0
                 sent, cycles = (here, step), 0
             elif cycles * self._bus.cycle >= self._patience:
                 raise PreflightRefused(
@@ -247,7 +248,13 @@ class Cia402Power:
                 turn()
                 cycles += 1
                 if step is not None and not heard and cycles % _TOLD_AGAIN == 0:
-                    heard = self._tell(step, turn)
+                    if retold == _MOST_RETOLD:
+                        raise NoAnswer(
+                            f"the drive answers no controlword: told {retold + 1} times, it stays "
+                            f"'{here}'",
+                            code="power.unheard",
+                        )
+                    heard, retold = self._tell(step, turn), retold + 1
 
     def status(self, values: tuple[int, ...]) -> Status:
         """What the statusword says."""

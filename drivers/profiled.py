@@ -196,31 +196,40 @@ class ProfiledDrive:
     # -- energy ----------------------------------------------------------------------------------
 
     def state(self) -> DriveSays:
-        """What the drive says of itself; raises LinkError."""
+        """What the drive says of itself; raises LinkError.
+
+        Of a drive with energy and no fault nothing more is asked: it may have to be stopped.
+        """
         said = self._access.patiently(self._power.said)
-        code, trouble = self._error_code(), self._bus.trouble()
+        asks = said.in_fault or not said.is_energised
+        code, trouble = self._error_code() if asks else None, self._bus.trouble()
         text, stranger = said.text, ""
-        if code is None:
-            text += ", and its error code could not be read"
-        elif code:
+        if code:
             meaning = error_codes.words(code) if self.profile.power is None else ""
             text += f", error code {code:04X}h{meaning and f' ({meaning})'}"
             if meaning and not error_codes.is_of_communication(code):
                 stranger = f"{code:04X}h, {meaning}"
+        elif asks and code is None:
+            text += ", and its error code could not be read"
         return DriveSays(
             said.is_energised,
             said.in_fault,
             f"{text}, {trouble}" if trouble else text,
             text if said.in_fault else "no fault",
+            code,
             stranger,
         )
 
     def _error_code(self) -> int | None:
-        """0: none, or the drive has no such object; None: there was no answer, twice."""
-        for _ in range(2):
-            with contextlib.suppress(LinkError, AccessDenied):
-                return self._access.optional("error_code") or 0
-        return None
+        """0: none, or the drive has no such object; None: it did not tell."""
+        if "error_code" not in self.parameters:
+            return 0
+        try:
+            return self._bus.read(self._access.parameter("error_code").address)
+        except AccessDenied as denied:
+            return None if denied.busy else 0
+        except LinkError:
+            return None
 
     def _is_energised(self) -> bool:
         return self._access.patiently(self._power.is_energised)
@@ -233,16 +242,18 @@ class ProfiledDrive:
         self._power.acknowledge()
         if not self._access.comes(lambda: not self._in_fault(), self.profile.patience.reset):
             raise PreflightRefused(
-                f"the drive stays in fault after a reset: {self.state().text}; remove its cause",
+                f"the drive stays in fault after a reset: {self.state().text}",
                 code="fault.stays",
+                hint="remove its cause",
             )
 
     def enable(self, mode: Mode, rest: float = 0.0) -> None:
         """Energise in `mode` with `rest` (SI) as the set-point in force from the first moment."""
         if self._in_fault():
             raise PreflightRefused(
-                f"the drive is in fault: {self.state().text}; remove the cause and reset it",
+                f"the drive is in fault: {self.state().text}",
                 code="preflight.fault",
+                hint="remove the cause and reset it",
             )
         code = self._select(mode)
         if code is not None:

@@ -41,8 +41,9 @@ class Rehearsal:
             raise PreflightRefused(
                 f"a cycle of {profile} needs {settings[0]} set before (or the drive may store each "
                 "command): the experiment does that, and puts it back; this measurement writes no "
-                "setting. 'tworelay identify' tells how late its cycles were",
+                "setting",
                 code="rehearsal.settings",
+                hint="'tworelay identify' tells how late its cycles were",
             )
 
     def cycles(self, count: int) -> Iterator[Exchange]:

@@ -158,11 +158,13 @@ def fitting(identity: Identity, bus: str) -> Profile:
         )
     if not fits:
         raise IdentityMismatch(
-            f"no built-in profile fits {identity} on {bus}; name one with --profile "
-            f"(generic: 'cia402' on CANopen) or bring your own file"
+            f"no built-in profile fits {identity} on {bus}",
+            hint="name one with --profile (generic: 'cia402' on CANopen) or bring your own file",
         )
     names = ", ".join(profile.name for profile in fits)
-    raise IdentityMismatch(f"several profiles fit {identity}: {names}; name one with --profile")
+    raise IdentityMismatch(
+        f"several profiles fit {identity}: {names}", hint="name one with --profile"
+    )
 
 
 def _is_path(name: str) -> bool:

@@ -38,8 +38,9 @@ def approach(context: Context, goal: float, known: FirstLook) -> Plan[Sample]:
         if sample.time - began > _TIME:
             raise MeasurementRejected(
                 f"the axis is still {error:.3g} {context.position_unit} from its start position "
-                f"after {_TIME:g} s; does something block it?",
+                f"after {_TIME:g} s",
                 code="measurement.approach",
+                hint="does something block it?",
             )
         elapsed = sample.time - previous.time
         speed = (sample.position - previous.position) / elapsed if elapsed > 0 else 0.0

@@ -30,7 +30,8 @@ def balancing_torque(context: Context) -> Plan[float]:
     if abs(means[0] + means[1]) / 2 >= context.torque:
         raise PreflightRefused(
             f"holding the load takes {sum(means) / 2:.4g} {context.effort_unit}, more than the "
-            f"limit of {context.torque:.4g} {context.effort_unit}; raise --max-torque",
+            f"limit of {context.torque:.4g} {context.effort_unit}",
             code="preflight.load",
+            hint="raise --max-torque",
         )
     return sum(means) / 2

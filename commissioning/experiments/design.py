@@ -101,8 +101,9 @@ def design(
         raise MeasurementRejected(
             f"friction {known.breakaway:.4g} {unit} and offset {known.offset:.4g} {unit} need "
             f"relay amplitudes of {d1:.4g} and {_RATIO * d1:.4g} {unit}, but the torque limit of "
-            f"{context.torque:.4g} {unit} leaves {most:.4g} {unit}; raise --max-torque",
+            f"{context.torque:.4g} {unit} leaves {most:.4g} {unit}",
             code="measurement.torque",
+            hint="raise --max-torque",
         )
     f = min(known.coulomb, 0.8 * d1)
     pair = _Pair(context, pace, d1, d2, f, known.inertia, known.dead_time, longest_period)

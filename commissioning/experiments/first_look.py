@@ -90,8 +90,9 @@ def first_look(context: Context) -> Plan[FirstLook]:
         raise MeasurementRejected(
             f"breakaway {breakaway:.4g} {context.effort_unit} and offset {offset:.4g} "
             f"{context.effort_unit} leave no torque to move the axis within the limit of "
-            f"{context.torque:.4g} {context.effort_unit}; raise --max-torque",
+            f"{context.torque:.4g} {context.effort_unit}",
             code="measurement.torque",
+            hint="raise --max-torque",
         )
     context.tell("short pushes and coasts, both ways")
     pushes = []
@@ -168,15 +169,16 @@ def _ramp(context: Context, direction: int) -> Plan[float]:
             raise MeasurementRejected(
                 f"the axis moved {abs(moved):.3g} {context.position_unit} against a torque of "
                 f"{sample.command:.4g} {context.effort_unit}: the sign of torque or encoder is "
-                "inverted, or the load drives the axis; check the wiring and direction settings",
+                "inverted, or the load drives the axis",
                 code="measurement.against",
+                hint="check the wiring and direction settings",
             )
         torque += step
     raise MeasurementRejected(
         f"no motion up to {limit:.4g} {context.effort_unit}: friction and load are above the "
-        "torque limit, or the axis is blocked, or the brake is closed; raise --max-torque if the "
-        "machine allows it",
+        "torque limit, or the axis is blocked, or the brake is closed",
         code="measurement.no-motion",
+        hint="raise --max-torque if the machine allows it",
     )
 
 

@@ -171,8 +171,9 @@ def _find_period(
             raise MeasurementRejected(
                 f"the relay of ±{relay.amplitude:.4g} {context.effort_unit} does not oscillate: no "
                 f"reversal within {longest:.3g} s. Breakaway and offset are too large for it, or "
-                "the axis is blocked; raise --max-torque",
+                "the axis is blocked",
                 code="measurement.no-oscillation",
+                hint="raise --max-torque",
             )
         sample = yield torque
     first = max(starts[-1 - min(_AVERAGED, count)] - _quarter(time, starts), 0)
@@ -182,8 +183,9 @@ def _find_period(
     if not len(periods):
         raise MeasurementRejected(
             "the relay makes no whole period about its reference: the axis drifts, or the load "
-            "changes; is the offset constant?",
+            "changes",
             code="measurement.drifts",
+            hint="is the offset constant?",
         )
     cycle, span = limit_cycle(relay, periods.last(_AVERAGED), is_settled=False)
     return sample, cycle, span

@@ -71,8 +71,9 @@ class RelayTest:
         return MeasurementRejected(
             f"the relay of ±{relay.amplitude:.4g} {context.effort_unit} does not oscillate: no "
             f"reversal within {longest:.3g} s. Breakaway and offset are too large for it, or the "
-            "axis is blocked; raise --max-torque",
+            "axis is blocked",
             code="measurement.no-oscillation",
+            hint="raise --max-torque",
         )
 
 

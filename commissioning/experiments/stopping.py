@@ -91,8 +91,8 @@ def run_up(context: Context, known: FirstLook) -> Plan[tuple[float, float]]:
         if sample.time > begun + _RUN_UP_TIME:
             raise MeasurementRejected(
                 f"the axis does not come up to speed with {torque:.4g} {context.effort_unit} "
-                f"within {_RUN_UP_TIME:g} s ({speed:.3g} of {goal:.3g} {context.position_unit}/s); "
-                "does something block it?",
+                f"within {_RUN_UP_TIME:g} s ({speed:.3g} of {goal:.3g} {context.position_unit}/s)",
                 code="measurement.no-speed",
+                hint="does something block it?",
             )
         before = sample

@@ -91,7 +91,8 @@ def _follow(context: Context, positions: list[float], most: float) -> Plan[list[
         if abs(sample.position - position) > most:
             raise MeasurementRejected(
                 f"the axis does not follow: it is {sample.position - position:+.3g} "
-                f"{context.position_unit} from where it should be; is it blocked, or its encoder?",
+                f"{context.position_unit} from where it should be",
                 code="measurement.not-following",
+                hint="is it blocked, or its encoder?",
             )
     return samples

@@ -169,8 +169,9 @@ def _check_feasible(context: Context, relay: Relay, first: LimitCycle, first_kno
         raise MeasurementRejected(
             f"the {relay.switching} of the second relay test runs into zero before its period "
             f"reaches {first.period * 1000:.4g} ms: with dead time this large the tests cannot be "
-            "matched; give more --travel, so that the period is long against the dead time",
+            "matched",
             code="measurement.period",
+            hint="give more --travel, so that the period is long against the dead time",
         )
 
 
@@ -200,6 +201,7 @@ def _match_by_rule(
         _check_feasible(context, relay, first, first_knob)
     raise MeasurementRejected(
         f"rule {rule} with k = {k:g} does not converge within {_MOST_STEPS} steps (still "
-        f"{gap * 1000:.3g} ms off); use the bracketing solver",
+        f"{gap * 1000:.3g} ms off)",
         code="measurement.period",
+        hint="use the bracketing solver",
     )

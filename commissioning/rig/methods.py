@@ -78,8 +78,9 @@ def _once(method: Method, ready: Ready) -> Measured:
         e = ready.units.effort
         raise MeasurementRejected(
             f"the oscillations give a friction of {value:.4g} {e}, which their own amplitude of "
-            f"{d1:.4g} {e} contradicts; is the axis rigid, and free to move?",
+            f"{d1:.4g} {e} contradicts",
             code="measurement.contradiction",
+            hint="is the axis rigid, and free to move?",
         )
     return measured
 

@@ -138,16 +138,13 @@ class Mover:
             rest=rest, leave_moving=leave_moving, guardian=self._guardian,
         )  # fmt: skip
 
-    def follow(self, plan: Callable[[float], Plan[T]], envelope: Envelope) -> T:
-        """Drive a plan in position mode from where the axis is, rad or m.
-
-        Its samples are no part of the torque record.
-        """
+    def follow(self, plan: Callable[[float], Plan[T]], envelope: Envelope, recorder: Recorder) -> T:
+        """Drive a plan in position mode from where the axis is, rad or m."""
         envelope = replace(envelope, rated=inf, thermal=inf, bias=nan)
         self._prepare(Mode.POSITION)
         here = self._drive.read("position_actual").si
         return run(
-            plan(here), self._drive, envelope, Recorder(), self._desk.interruption,
+            plan(here), self._drive, envelope, recorder, self._desk.interruption,
             mode=Mode.POSITION, guardian=self._guardian,
         )  # fmt: skip
 

@@ -11,7 +11,7 @@ from commissioning.interruption import Interruption
 from commissioning.runner import verified
 from commissioning.settings import Settings
 from drivers.drive import Drive
-from drivers.errors import DriveEnabled, DriveFault, PreflightRefused, WriteDenied
+from drivers.errors import DriveEnabled, DriveFault, LinkError, PreflightRefused, WriteDenied
 from profiles.axis import Axis
 from profiles.errors import UsageError
 from profiles.procedures import Mode
@@ -65,9 +65,9 @@ def look(drive: Drive, axis: Axis) -> None:
     """Read-only checks; raises PreflightRefused, Refused."""
     if drive.state().in_fault:
         raise PreflightRefused(
-            f"the drive is in fault: {drive.state().text}; remove the cause and reset it, then "
-            "try again",
+            f"the drive is in fault: {drive.state().text}",
             code="preflight.fault",
+            hint="remove the cause and reset it, then try again",
         )
     if drive.state().is_energised:
         raise DriveEnabled(
@@ -78,20 +78,21 @@ def look(drive: Drive, axis: Axis) -> None:
     if watchdog.kind != "none" and drive.cycle > watchdog.timeout / CYCLES_A_WATCHDOG:
         raise PreflightRefused(
             f"a cycle of {drive.cycle * 1000:g} ms is too slow for the drive's watchdog of "
-            f"{watchdog.timeout * 1000:g} ms, which needs {CYCLES_A_WATCHDOG} cycles; give a "
-            "shorter --cycle",
+            f"{watchdog.timeout * 1000:g} ms, which needs {CYCLES_A_WATCHDOG} cycles",
             code="preflight.cycle",
             value=drive.cycle,
             limit=watchdog.timeout / CYCLES_A_WATCHDOG,
             unit="s",
+            hint=f"give a --cycle of {watchdog.timeout / CYCLES_A_WATCHDOG:.3g} s or less",
         )
     other = drive.line.other_master()
     if other:
         raise PreflightRefused(
             f"another master is on the bus ({other} was heard): two masters move an axis against "
-            "each other; disconnect it or stop its program (if it only produces SYNC: sync=bus in "
-            "the link)",
+            "each other",
             code="preflight.master",
+            hint="disconnect it or stop its program (if it only produces SYNC: sync=bus in the "
+            "link)",
         )
     drive.preparation.check_requirements()
     drive.preparation.settings(Mode.TORQUE)  # refuses a drive without torque mode
@@ -101,16 +102,16 @@ def look(drive: Drive, axis: Axis) -> None:
         if active:
             raise PreflightRefused(
                 f"this drive's compensation acts in torque mode too, and {', '.join(active)} is "
-                "not zero: the friction would be measured less what is compensated; set it to zero "
-                "first",
+                "not zero: the friction would be measured less what is compensated",
                 code="preflight.compensation",
+                hint="set it to zero first",
             )
     moved = still_moving(drive)
     if moved:
         raise PreflightRefused(
-            f"the axis moves by itself: {moved:.3g} {axis.position_unit} in {_LOOK_INTERVAL:g} s; "
-            "bring it to rest first",
+            f"the axis moves by itself: {moved:.3g} {axis.position_unit} in {_LOOK_INTERVAL:g} s",
             code="preflight.not-at-rest",
+            hint="bring it to rest first",
         )
 
 
@@ -161,12 +162,12 @@ def _travel(drive: Drive, axis: Axis, options: Options) -> float:
     if travel < _FEWEST_COUNTS * count:
         raise PreflightRefused(
             f"the travel of ±{travel:.4g} {axis.position_unit} is too small: it is "
-            f"{travel / count:.0f} encoder counts, and a measurement needs {_FEWEST_COUNTS}; give "
-            "more --travel",
+            f"{travel / count:.0f} encoder counts, and a measurement needs {_FEWEST_COUNTS}",
             code="preflight.travel",
             value=travel,
             limit=_FEWEST_COUNTS * count,
             unit=axis.position_unit,
+            hint="give more --travel",
         )
     return travel
 
@@ -194,6 +195,7 @@ def _torque(drive: Drive, axis: Axis, options: Options, rated: float) -> float:
             f"max torque of {torque:.4g} {e} is above the drive's own limit of {most:.4g} {e} "
             f"({by})",
             code="preflight.torque",
+            hint="ask for less, or raise that limit in the drive",
             value=torque,
             limit=most,
             unit=e,
@@ -349,13 +351,21 @@ def prove_watchdog(
                 "served drive that steps needs clock=step in its link.)",
                 code="watchdog.not-proved",
             )
-        found = drive.state().fault
+        said = drive.state()
+        if said.code is None:
+            raise LinkError(
+                "the drive does not tell its error code: what stopped it in the proof of its "
+                "watchdog is not known",
+                code="watchdog.not-told",
+                hint="try again",
+            )
+        found = said.fault
         if before is not None and found != before:
             raise DriveFault(
                 f"while its watchdog was proved the drive stopped with '{found}', and with "
-                f"'{before}' in an earlier proof: something else has stopped it. Look the code up "
-                "in its manual, remove the cause, then try again",
+                f"'{before}' in an earlier proof: something else has stopped it",
                 code="watchdog.another-fault",
+                hint="look the code up in its manual, remove the cause, then try again",
             )
         if before is None:  # before a reset makes the drive forget it
             tell(f"the drive noticed it, by itself: {drive.state().text}")

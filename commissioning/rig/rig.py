@@ -154,7 +154,7 @@ class Rig:
     def follow(self, path: TrackingPath) -> TrackingSamples:
         """Follow a path in position mode."""
         envelope = replace(self.envelope, cautious=False)
-        return self.mover.follow(lambda here: track(self.context, path, here), envelope)
+        return self.mover.follow(lambda here: track(self.context, path, here), envelope, Recorder())
 
     # -- first motions ---------------------------------------------------------------------------
 
@@ -170,9 +170,10 @@ class Rig:
             e = self.units.effort
             raise PreflightRefused(
                 f"the load of {known.offset:.4g} {e} is more than friction holds "
-                f"({known.breakaway:.4g} {e}): the axis falls when the torque goes. Declare its "
-                "brake, counterbalance or fixture in an axis file ([mechanics] held_by)",
+                f"({known.breakaway:.4g} {e}): the axis falls when the torque goes",
                 code="preflight.load",
+                hint="declare its brake, counterbalance or fixture in an axis file "
+                "([mechanics] held_by)",
             )
         return context, replace(self.envelope, bias=known.offset), known
 
@@ -190,9 +191,15 @@ class Rig:
                 code="preflight.no-torque",
             )
         self.recorder.phase("holding torque: creep up and down in position mode")
-        return self.mover.follow(
-            lambda here: balancing_torque(replace(self.context, start=here)), self.envelope
+        before = len(self.recorder.samples)
+        torque = self.mover.follow(
+            lambda here: balancing_torque(replace(self.context, start=here)),
+            self.envelope,
+            self.recorder,
         )
+        # position commands are no torques; where it failed they are what one wants to see
+        del self.recorder.samples[before:]
+        return torque
 
     def _prove_stop(self, context: Context, envelope: Envelope, known: FirstLook) -> Stopping:
         """Set the axis in motion, stop it by the stop path, and see what braking is certain."""

@@ -189,8 +189,9 @@ def _motion(
     elif method == "lock-in":
         raise MeasurementRejected(
             "the exact balance needs two steady oscillations of one period and different swing; "
-            f"the recording has {len(oscillations)} steady stretches. Use --method modulating",
+            f"the recording has {len(oscillations)} steady stretches",
             code="recording.no-pair",
+            hint="use --method modulating",
         )
     if method != "lock-in":
         _refuse_one_oscillation(record, oscillations, units)
@@ -263,7 +264,7 @@ def _refuse_one_oscillation(record: Record, oscillations: list[Steady], units: U
         return
     raise MeasurementRejected(
         f"one oscillation only (half-swing {swings[0]:.3g} {units.position}, period "
-        f"{oscillations[0].period * 1000:.4g} ms): it cannot tell Coulomb from viscous friction; "
-        "record two of clearly different torque",
+        f"{oscillations[0].period * 1000:.4g} ms): it cannot tell Coulomb from viscous friction",
         code="recording.one-oscillation",
+        hint="record two of clearly different torque",
     )

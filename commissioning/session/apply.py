@@ -169,8 +169,9 @@ def _gains(result: RunResult, rule: str) -> GainSet:
         )
     if not found.parameters:
         raise Refused(
-            f"run {run}: the profile does not map the gains of {rule}; set them by hand",
+            f"run {run}: the profile does not map the gains of {rule}",
             code="gains.not-mapped",
+            hint="set them by hand",
         )
     return found
 

@@ -42,7 +42,7 @@ def _changes(
     old = {name: drive.read(name).raw for name in law.terms.values()}
     doubtful = [why for name in old if (why := why_not_written(drive.parameters[name]))]
     if doubtful:
-        ways = "; ".join(dict.fromkeys(why.hint for why in doubtful))
+        ways = "; ".join(dict.fromkeys(why.hint for why in doubtful if why.hint))
         text = "; ".join(why.text for why in doubtful)
         reasons.append(_note("proposal.unverified", f"apply will refuse: {text}; {ways}"))
     for attempt in (found, replace(found, viscous=None)):

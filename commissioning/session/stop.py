@@ -21,9 +21,9 @@ def stop(axis: Axis, desk: Desk) -> StopReport:
     with desk.interruption.deferred(), connect(axis, None, desk, "stop", to_stop=True) as drive:
         if not drive.moves:
             raise Refused(
-                f"{drive.profile} has no way to stop the drive, which says: "
-                f"{drive.state().text}; use its own controller or the emergency stop",
+                f"{drive.profile} has no way to stop the drive, which says: {drive.state().text}",
                 code="stop.no-way",
+                hint="use its own controller or the emergency stop",
             )
         word = Thread(target=note_stop, args=(drive.link,), daemon=True)  # a stop waits for no file
         word.start()

@@ -23,13 +23,15 @@ def storing(drive: Drive, *, prove_first: bool) -> tuple[bool, str]:
 
 def all_writable(drive: Drive, names: list[str]) -> None:
     """Raise Refused where one of the parameters may not be written for good."""
-    refused = [why for name in names if (why := why_not_written(drive.parameters[name]))]
+    found = {name: why_not_written(drive.parameters[name]) for name in names}
+    refused = {name: why for name, why in found.items() if why is not None}
     if refused:
-        ways = "; ".join(dict.fromkeys(why.hint for why in refused))
+        ways = dict.fromkeys(why.hint for why in refused.values() if why.hint)
         raise Refused(
-            "; ".join(why.text for why in refused),
-            hint=f"nothing was written; {ways}",
-            code="write.refused",
+            f"{'; '.join(why.text for why in refused.values())}: nothing was written",
+            code=next(iter(refused.values())).code,
+            hint="; ".join(ways),
+            parameter=", ".join(refused),
         )
 
 
@@ -48,11 +50,11 @@ def store(
     if before >= most:
         raise WriteFailed(
             f"this drive has stored {before} times from here, and its memory takes about {most}: "
-            "the values are in effect, and not stored; store them with the maker's software if its "
-            "memory is new",
+            "the values are in effect, and not stored",
             code="store.worn",
             value=before,
             limit=most,
+            hint="store them with the maker's software if its memory is new",
         )
     desk.journal.note_stored(run_id, STORING)  # should this be cut off, `restore` must store
     try:

@@ -139,8 +139,9 @@ def _known(result: RunResult) -> tuple[AxisKnown, Experiment, Setup]:
     if inertia is None or dead_time is None:
         raise Refused(
             f"run {result.run}: {' and '.join(unknown)} could not be identified, so no gain is "
-            "proposed; more travel, or method auto, would show it",
+            "proposed",
             code="tune.unknown",
+            hint="more travel, or method auto, would show it",
         )
     setup = watched.setup if watched else None
     if coulomb is None or watched is None or setup is None or watched.limits is None:

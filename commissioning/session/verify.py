@@ -90,7 +90,7 @@ def verify(
     run_id, folder = own_run(desk.journal, run)
     history = desk.journal.history(run_id)
     record, result = history.run, folder.result(history)
-    _check(result, run_id)
+    _check(result, run_id, record.context.fraction)
     axis = axis_of_run(record, folder, link)
     options = _options(result, wishes, adopted=record.adopted)
     with connect(axis, options.cycle, desk, f"run {run_id}") as drive:
@@ -176,7 +176,7 @@ def _no_help(result: RunResult, steps: list[_Step]) -> DoesNotHelp:
     )
 
 
-def _check(result: RunResult, run_id: str) -> None:
+def _check(result: RunResult, run_id: str, fraction: float | None) -> None:
     coulomb = result.friction.coulomb
     if result.measured and coulomb is not None and not coulomb.value > 0:
         raise Refused(
@@ -184,9 +184,9 @@ def _check(result: RunResult, run_id: str) -> None:
             code="verify.no-friction",
         )
     changes = result.compensation
-    if result.measured and changes and all(change.new == change.old for change in changes):
+    if fraction == 0:
         raise Refused(
-            f"run {run_id} cannot be verified: it proposes what was there before",
+            f"run {run_id} cannot be verified: it compensates 0 % of the friction",
             code="verify.no-proposal",
         )
     if not result.measured or not changes:

@@ -46,15 +46,15 @@ def open_bus(interface: str, channel: str, bitrate: int, timeout: float) -> can.
             known = ", ".join(sorted(can.VALID_INTERFACES))
             raise UsageError(f"no CAN interface '{interface}'; python-can has: {known}") from None
         raise LinkError(
-            f"CAN interface '{interface}' cannot be used here: {first_line(error)}; is its "
-            "driver installed?",
+            f"CAN interface '{interface}' cannot be used here: {first_line(error)}",
             code="link.adapter",
+            hint="is its driver installed?",
         ) from None
     except Exception as error:
         raise LinkError(
-            f"cannot open CAN channel '{channel}' on '{interface}': {first_line(error)}; is the "
-            "adapter plugged in, and free?",
+            f"cannot open CAN channel '{channel}' on '{interface}': {first_line(error)}",
             code="link.adapter",
+            hint="is the adapter plugged in, and free?",
         ) from None
     if interface == "socketcand":
         _untangle_socketcand(bus)

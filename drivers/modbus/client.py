@@ -188,8 +188,9 @@ class Client:
                 raise self._of_before(kind)
             raise LinkError(
                 f"{self.where} answers a write of register {arguments.get('address', 0):04X}h with "
-                "something else: that is no answer to it; is this drive's profile right?",
+                "something else: that is no answer to it",
                 code="link.answer",
+                hint="is this drive's profile right?",
             )
         if answer.isError():
             code = getattr(answer, "exception_code", 0)

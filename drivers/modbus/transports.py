@@ -115,15 +115,15 @@ def connected(wire: TcpWire, timeout: float, on_packet: Packet, came: Came) -> T
         plain = socket.create_connection((wire.host, wire.port), timeout)
     except TimeoutError:
         raise LinkError(
-            f"{place} does not answer within {timeout:g} s; is the address right, the cable in, "
-            "the drive on?",
+            f"{place} does not answer within {timeout:g} s",
             code="link.connect",
+            hint="is the address right, the cable in, the drive on?",
         ) from None
     except OSError as error:
         raise LinkError(
-            f"cannot connect to {place}: {error.strerror or error}; is the address right, and "
-            "Modbus TCP switched on in the drive?",
+            f"cannot connect to {place}: {error.strerror or error}",
             code="link.connect",
+            hint="is the address right, and Modbus TCP switched on in the drive?",
         ) from None
     plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     client.socket = plain if wire.tls is None else wire.tls.wrap(plain, wire.host)

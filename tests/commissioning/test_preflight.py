@@ -16,7 +16,7 @@ from commissioning.rig import preflight
 from commissioning.rig.preflight import Limits, choose_limits, look, prove_watchdog, writes
 from commissioning.settings import Settings
 from drivers.drive import DriveSays, Value
-from drivers.errors import DriveFault, PreflightRefused
+from drivers.errors import DriveFault, LinkError, PreflightRefused
 from drivers.link import axis_of, open_drive
 from drivers.profiled import ProfiledDrive
 from drivers.sample import Sample
@@ -439,3 +439,13 @@ def test_an_axis_with_a_name_is_asked_for_travel_in_its_unit(drive: ProfiledDriv
     linear = Axis(name="z", link="virtual://emps")
     with pytest.raises(UsageError, match="in rad about"):
         choose_limits(drive, linear, Options())
+
+
+def test_a_drive_that_does_not_tell_its_error_code_is_not_accused(
+    armed: ProfiledDrive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two proofs, in one of which the code was lost: nobody knows whether the faults differ."""
+    before, state = proved(armed), armed.state
+    monkeypatch.setattr(armed, "state", lambda: state()._replace(code=None, fault="fault"))
+    with raises(LinkError, "watchdog.not-told"):
+        proved(armed, before=before)

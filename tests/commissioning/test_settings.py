@@ -64,7 +64,7 @@ class Drawer:
         self.values[name] = raw
 
     def state(self) -> DriveSays:
-        return DriveSays(self.energised, False, "", "no fault", "")
+        return DriveSays(self.energised, False, "", "no fault", 0, "")
 
     def bus(self) -> dict[str, tuple[int, int]]:
         return self.objects

@@ -45,20 +45,31 @@ def test_one_look_tells_everything(drive: ProfiledDrive) -> None:
 
 
 @pytest.mark.parametrize("error", [NoAnswer("lost"), AccessDenied("busy", busy=True)])
-def test_an_error_code_that_is_not_told_hides_no_energy(
+def test_a_drive_with_energy_is_asked_nothing_but_its_state(
     drive: ProfiledDrive, error: Exception
 ) -> None:
+    """It may have to be stopped: nothing is waited for."""
     drive.enable(Mode.TORQUE)
-    failing(drive, "error_code", [error] * 1000)
-    said = drive.state()
-    assert said.is_energised
-    assert "its error code could not be read" in said.text
+    errors = [error] * 10
+    failing(drive, "error_code", errors)
+    assert drive.state().is_energised
+    assert len(errors) == 10, "the code was not asked for"
     drive.disable()
 
 
-def test_an_error_code_is_asked_for_twice(drive: ProfiledDrive) -> None:
-    failing(drive, "error_code", [NoAnswer("lost")])
-    assert drive.state().text == "switch on disabled"
+@pytest.mark.parametrize("error", [NoAnswer("lost"), AccessDenied("busy", busy=True)])
+def test_an_error_code_that_is_not_told_hides_no_state(
+    drive: ProfiledDrive, error: Exception
+) -> None:
+    errors = [error] * 10
+    failing(drive, "error_code", errors)
+    said = drive.state()
+    assert (said.is_energised, said.code) == (False, None)
+    assert "its error code could not be read" in said.text
+    assert len(errors) == 9, "asked once, and not waited for"
+    assert (drive.state().code, len(errors)) == (None, 8)
+    errors.clear()
+    assert drive.state().code == 0
 
 
 @pytest.mark.parametrize("arrives", [True, False])

@@ -15,10 +15,23 @@ _HEAD = """# Codes
 
 Stable names for programs: `error.code` in a result's JSON, `quality.reasons[].code`, `why_not_code`
 of gains. A sentence beside a code is for people, and may change; … is what is known only when
-it happens.
+it happens. `usage` and `internal` end a command before, or outside of, a result.
 This page is made from the source (`python -m tests.house.codes > docs/codes.md`).
 """
 _LONGEST = 150  # characters of a sentence
+_MEANT = {  # where the source has no sentence of its own
+    "guardian.acted": "the guardian stopped the drive, and why",
+    "internal": "a bug",
+    "drive.fault": "the drive stopped by itself, or was stopped",
+    "measurement.limit": "a limit ended an oscillation that need not be",
+    "power.stuck": "the drive does not become enabled, or disabled, within its patience",
+    "preflight.room": "no oscillation fits the travel; what would mend it",
+    "restore.incomplete": "settings or values are not all back; which",
+    "run.cut-off": "a run on this drive was cut off and left settings changed",
+    "stop.energised": "the drive is still energised after a stop",
+    "stop.not-verified": "the drive did not answer after a stop",
+    "write.bus": "objects of the bus' own are not back; which",
+}
 _REFUSALS = "WhyNot", "CannotHold", "NotProposed"
 _KINDS = "Reason", *_REFUSALS
 
@@ -35,7 +48,8 @@ def page() -> str:
         kinds = sorted({kind for kind, _ in told})
         exits = sorted({str(classes[kind][0]) for kind in kinds})
         parts.append(
-            f"| `{code}` | {', '.join(kinds)} | {', '.join(exits)} | {_sentence(told)} |\n"
+            f"| `{code}` | {', '.join(kinds)} | {', '.join(exits)} | "
+            f"{_MEANT.get(code) or _sentence(told)} |\n"
         )
     parts.append("\n## Reasons of a verdict\n\n| code | sentence |\n| --- | --- |\n")
     parts += [f"| `{code}` | {_sentence(told)} |\n" for code, told in sorted(reasons.items())]

@@ -117,7 +117,9 @@ def test_a_job_ends_with_what_is_true(name: str, tworelay: Tworelay, tmp_path: P
     assert (case.said_by or "axis") in line
     assert ("ended by" in line) is (case.said_by is not None)
     if case.code:
-        assert done.stderr.strip() == f"tworelay: {result['error']['text']}"
+        said = result["error"]
+        line = "; ".join(filter(None, (said["text"], said["hint"])))
+        assert done.stderr.strip() == f"tworelay: {line}"
         assert result["error"]["code"]
         assert (result["friction"]["coulomb"]["value"] is None) is (case.verdict != "good")
     else:

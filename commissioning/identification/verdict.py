@@ -127,6 +127,16 @@ def of_modulating(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
             Weight.DOUBT,
             f"the interval of the friction is wide: {f.low:.3g} … {f.high:.3g} {e}",
         )
+    return reasons + _of_record(found) + _of_law(found, units)
+
+
+def _of_record(found: ModulatingEstimate) -> list[Reason]:
+    """What the record says about itself: too few periods, too coarse, too alike."""
+    reasons: list[Reason] = []
+
+    def add(code: str, weight: Weight, text: str) -> None:
+        reasons.append(Reason(code, weight, text))
+
     if found.halves > max(_HALVES, 2 * found.noise):
         add(
             "periods.differ",
@@ -154,7 +164,7 @@ def of_modulating(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
             f"the position is coarse for this swing: its resolution alone hides "
             f"{100 * found.noise:.0f} % of the torque; a longer period or more travel helps",
         )
-    return reasons + _of_law(found, units)
+    return reasons
 
 
 def _of_law(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:

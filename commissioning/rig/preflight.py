@@ -351,32 +351,7 @@ def prove_watchdog(
                 "served drive that steps needs clock=step in its link.)",
                 code="watchdog.not-proved",
             )
-        said = drive.state()
-        if said.code is None:
-            raise LinkError(
-                "the drive does not tell its error code: what stopped it in the proof of its "
-                "watchdog is not known",
-                code="watchdog.not-told",
-                hint="try again",
-            )
-        found = said.fault
-        if before is not None and found != before:
-            raise DriveFault(
-                f"while its watchdog was proved the drive stopped with '{found}', and with "
-                f"'{before}' in an earlier proof: something else has stopped it",
-                code="watchdog.another-fault",
-                hint="look the code up in its manual, remove the cause, then try again",
-            )
-        if before is None:  # before a reset makes the drive forget it
-            tell(f"the drive noticed it, by itself: {drive.state().text}")
-            stranger = drive.state().stranger
-            if stranger:
-                tell(
-                    f"that is no error of communication ({stranger}): was it its watchdog that "
-                    "stopped the drive, or something else at the same time?"
-                )
-        if drive.state().in_fault:
-            drive.reset_fault()
+        found = _what_stopped_it(drive, before, tell)
         moved = drive.read("position_actual").si - begin
         if abs(moved) > _LARGEST_MOVE_IN_PROOF * travel:
             raise PreflightRefused(
@@ -388,3 +363,32 @@ def prove_watchdog(
                 limit=_LARGEST_MOVE_IN_PROOF * travel,
             )
     return found
+
+
+def _what_stopped_it(drive: Drive, before: str | None, tell: Callable[[str], None]) -> str:
+    """The fault with which the drive stopped in the proof, acknowledged; raises DriveFault."""
+    said = drive.state()
+    if said.code is None:
+        raise LinkError(
+            "the drive does not tell its error code: what stopped it in the proof of its "
+            "watchdog is not known",
+            code="watchdog.not-told",
+            hint="try again",
+        )
+    if before is not None and said.fault != before:
+        raise DriveFault(
+            f"while its watchdog was proved the drive stopped with '{said.fault}', and with "
+            f"'{before}' in an earlier proof: something else has stopped it",
+            code="watchdog.another-fault",
+            hint="look the code up in its manual, remove the cause, then try again",
+        )
+    if before is None:  # before a reset makes the drive forget it
+        tell(f"the drive noticed it, by itself: {said.text}")
+        if said.stranger:
+            tell(
+                f"that is no error of communication ({said.stranger}): was it its watchdog that "
+                "stopped the drive, or something else at the same time?"
+            )
+    if said.in_fault:
+        drive.reset_fault()
+    return said.fault

@@ -118,8 +118,8 @@ def test_a_job_ends_with_what_is_true(name: str, tworelay: Tworelay, tmp_path: P
     assert ("ended by" in line) is (case.said_by is not None)
     if case.code:
         said = result["error"]
-        line = "; ".join(filter(None, (said["text"], said["hint"])))
-        assert done.stderr.strip() == f"tworelay: {line}"
+        whole = "; ".join(filter(None, (said["text"], said["hint"])))
+        assert done.stderr.strip() == f"tworelay: {whole}"
         assert result["error"]["code"]
         assert (result["friction"]["coulomb"]["value"] is None) is (case.verdict != "good")
     else:

@@ -18,7 +18,8 @@ from commissioning.records import History
 from commissioning.result.document import SCHEMA, ProfileMark, Quality, RunResult, Tool
 from commissioning.result.endings import AxisState, Ending, Error
 from commissioning.result.found import Found, Units
-from commissioning.runs import Array, RunFolder, drive_state, left_in_drive, resolve, settings_state
+from commissioning.runs import RunFolder, drive_state, left_in_drive, resolve, settings_state
+from commissioning.samples import Array
 from drivers.drive import Drive
 from drivers.errors import DriveEnabled
 from profiles.axis import Axis

@@ -10,7 +10,6 @@ import os
 import re
 import sqlite3
 import time
-import unicodedata
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -23,6 +22,7 @@ from commissioning.journal_file import (
     open_to_read,
     open_to_write,
     prepare,
+    slug,
     unwritable,
 )
 from commissioning.records import (
@@ -140,7 +140,7 @@ class Journal:
                 )
             stamp = time.strftime("%Y%m%d-%H%M%S", time.localtime(now))
             for n in range(_RUNS_A_SECOND):
-                run = f"{stamp}-{_slug(axis)}" + (f"-{n}" if n else "")
+                run = f"{stamp}-{slug(axis)}" + (f"-{n}" if n else "")
                 try:
                     self._db.execute(
                         "INSERT INTO runs VALUES (?,?,?,?,?,?,?,?,?)",
@@ -442,13 +442,3 @@ def _count(text: str) -> int:
     """The number at the end of an event; 0 where somebody wrote none there."""
     found = re.search(r"([0-9]{1,18})$", text)
     return int(found[1]) if found else 0
-
-
-_LONGEST_SLUG = 40  # characters
-
-
-def _slug(name: str) -> str:
-    """A name of an axis as a part of a file's name: letters, digits, dots and dashes of ASCII."""
-    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
-    slug = re.sub(r"[^A-Za-z0-9._-]+", "-", plain)[:_LONGEST_SLUG].strip("._-")
-    return slug or "axis"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sqlite3
 import time
+import unicodedata
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -17,6 +18,7 @@ __all__ = [
     "open_to_read",
     "open_to_write",
     "prepare",
+    "slug",
     "unwritable",
 ]
 
@@ -107,3 +109,13 @@ def _write_ahead(db: sqlite3.Connection) -> None:
             if not left:
                 raise
             time.sleep(PAUSE)
+
+
+_LONGEST_SLUG = 40  # characters
+
+
+def slug(name: str) -> str:
+    """A name of an axis as a part of a file's name: letters, digits, dots and dashes of ASCII."""
+    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+    slug = re.sub(r"[^A-Za-z0-9._-]+", "-", plain)[:_LONGEST_SLUG].strip("._-")
+    return slug or "axis"

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import json
-import math
 import re
-import zipfile
-import zlib
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from commissioning.errors import JournalError
 from commissioning.journal import Journal
@@ -30,9 +24,7 @@ from commissioning.result.endings import (
     Ending,
     SettingsState,
 )
-from commissioning.result.found import Units
-from commissioning.runner import Phase, Recorder
-from drivers.sample import Sample
+from commissioning.samples import LARGEST, Array, Samples, archive, write_csv
 from profiles.dcf import dcf
 from profiles.errors import UsageError
 from profiles.files import contents, replace
@@ -40,7 +32,6 @@ from profiles.library import load_profile
 
 __all__ = [
     "RunFolder",
-    "Samples",
     "as_of",
     "drive_state",
     "left_in_drive",
@@ -48,65 +39,10 @@ __all__ = [
     "settings_state",
 ]
 
-Array = NDArray[np.float64]
 
-_COLUMNS = ("time", "position", "torque", "command", "sent", "lateness", "missed")
-_UNREADABLE = (
-    OSError, ValueError, KeyError, EOFError, TypeError, MemoryError, OverflowError, RuntimeError,
-    zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
 # files of a run; of one that somebody sent no page of theirs
 _FOREIGN = "run.json", "profile.toml", "samples.npz"
 _FILES = *_FOREIGN, "report.html", "loci.svg", "loci.png", "loci.pdf"
-_LARGEST_SAMPLES = 500_000_000  # bytes
-_CURVE = "curve."
-# what was a detail in runs of 0.1.0, which kept no kind of a phase
-_DETAILS_OF_0_1 = "staging", "relay test 2, ", "stop path", "a dozen periods"
-
-
-class Samples:
-    """Recorded samples as columns, the phases of the run, and curves that pictures of it need.
-
-    Each column is an (n,) array in the unit of Sample; time counts from the first sample. A curve
-    is (k, n): `verify.<step>` time, command, error; `step.<loop>.<rule>.<source>` time, position.
-    """
-
-    def __init__(
-        self,
-        columns: dict[str, Array],
-        phases: list[Phase],
-        curves: dict[str, Array] | None = None,
-    ) -> None:
-        self.columns = columns
-        self.phases = phases
-        self.curves = curves or {}
-
-    def __getitem__(self, name: str) -> Array:
-        return self.columns[name]
-
-    def __getattr__(self, name: str) -> Array:
-        if name not in _COLUMNS:
-            raise AttributeError(name)
-        return self.columns[name]
-
-    def __len__(self) -> int:
-        return len(self.time)
-
-    @classmethod
-    def of(cls, recorder: Recorder) -> Samples:
-        """Columns of what was recorded."""
-        fields = list(zip(*recorder.samples, strict=True)) or [()] * len(Sample._fields)
-        columns = {name: np.array(fields[Sample._fields.index(name)], float) for name in _COLUMNS}
-        if recorder.samples:
-            begin = recorder.samples[0].sent
-            columns["time"] -= begin
-            columns["sent"] -= begin
-        return cls(columns, list(recorder.phases))
-
-    @classmethod
-    def none(cls) -> Samples:
-        """Samples of a run without a record."""
-        return cls.of(Recorder())
 
 
 class RunFolder:
@@ -155,7 +91,7 @@ class RunFolder:
                 samples = self._samples_or_none()
             if samples is not None:
                 samples.curves = _merged(samples.curves, curves or {})
-                replace(self.path / "samples.npz", _archive(samples))
+                replace(self.path / "samples.npz", archive(samples))
             replace(self.path / "run.json", text_of(result).encode())
         except OSError as error:
             raise JournalError(f"cannot write the run to {self.path}: {error}") from None
@@ -203,31 +139,7 @@ class RunFolder:
         path = self.path / "samples.npz"
         if not path.exists() and not path.is_symlink():
             return Samples(Samples.none().columns, [], curves) if curves else None
-        try:
-            data = io.BytesIO(contents(path, _LARGEST_SAMPLES, links=False))
-            with zipfile.ZipFile(data) as packed:
-                if sum(item.file_size for item in packed.infolist()) > _LARGEST_SAMPLES:
-                    raise UsageError(f"{path}: too large for samples")
-                for item in packed.infolist():
-                    _check_array(packed, item)
-            data.seek(0)
-            with np.load(data, allow_pickle=False) as archive:
-                columns = {name: np.asarray(archive[name], float) for name in _COLUMNS}
-                phases = [
-                    _phase(int(at), str(text), *kind)
-                    for at, text, *kind in json.loads(str(archive["phases"]))
-                    if int(at) >= 0
-                ]
-                curves |= {
-                    name.removeprefix(_CURVE): np.asarray(archive[name], float)
-                    for name in archive.files
-                    if name.startswith(_CURVE)
-                }
-            _check_columns(columns)
-            _check_curves(curves)
-        except _UNREADABLE as error:
-            raise UsageError(f"{path}: cannot be read as samples: {error}") from None
-        return Samples(columns, phases, curves)
+        return Samples.read(path, curves)
 
     def profile_path(self) -> Path:
         """The profile as it was in this run; raises UsageError where that is a link."""
@@ -248,15 +160,15 @@ class RunFolder:
             for name in _FOREIGN if self.exported is not None else _FILES:
                 path = self.path / name
                 if path.exists() or path.is_symlink():
-                    replace(target / name, contents(path, _LARGEST_SAMPLES, links=False))
+                    replace(target / name, contents(path, LARGEST, links=False))
             replace(target / "journal.json", json.dumps(history_tree(history), indent=1).encode())
             samples = self.samples()
             if samples is not None and len(samples):
-                _write_csv(target / "samples.csv", samples, result.units)
+                write_csv(target / "samples.csv", samples, result.units)
                 shown = result.experiment.cycles if result.experiment else ()
                 if shown:
                     span = shown[0].begin, shown[-1].end
-                    _write_csv(target / "oscillations.csv", samples, result.units, span)
+                    write_csv(target / "oscillations.csv", samples, result.units, span)
             changes = self._dcf(history)
             if changes:
                 replace(target / "changes.dcf", changes.encode())
@@ -364,47 +276,6 @@ def _merged(before: Mapping[str, Array], new: Mapping[str, Array]) -> dict[str, 
     return {n: c for n, c in before.items() if n.split(".")[0] not in kinds} | dict(new)
 
 
-def _archive(samples: Samples) -> bytes:
-    archive = io.BytesIO()
-    phases = np.array(json.dumps([(p.at, p.text, p.kind) for p in samples.phases]))
-    curves = {_CURVE + name: curve for name, curve in samples.curves.items()}
-    np.savez(archive, allow_pickle=False, phases=phases, **samples.columns, **curves)
-    return archive.getvalue()
-
-
-def _check_curves(curves: dict[str, Array]) -> None:
-    """Raise ValueError where they are no rows of finite numbers."""
-    for name, curve in curves.items():
-        if curve.ndim != 2 or not np.all(np.isfinite(curve)):
-            raise ValueError(f"'{name}' is no curve")
-
-
-def _check_columns(columns: dict[str, Array]) -> None:
-    """Raise ValueError for columns of different lengths, and for values that are no numbers."""
-    if len({column.shape for column in columns.values()}) != 1 or columns["time"].ndim != 1:
-        raise ValueError("its columns are not of one length")
-    for name in ("time", "position", "sent"):
-        if not np.all(np.isfinite(columns[name])):
-            raise ValueError(f"'{name}' holds what is no finite number")
-
-
-def _phase(at: int, text: str, kind: str | None = None) -> Phase:
-    """A phase as samples.npz has it."""
-    if kind is None:
-        kind = "detail" if text.startswith(_DETAILS_OF_0_1) else "step"
-    return Phase(at, "detail" if kind == "detail" else "step", text)
-
-
-def _check_array(packed: zipfile.ZipFile, item: zipfile.ZipInfo) -> None:
-    """Raise ValueError where an array is said to be larger than what there is of it."""
-    with packed.open(item) as member:
-        if np.lib.format.read_magic(member) != (1, 0):
-            raise ValueError(f"{item.filename} is no array of samples")
-        shape, _, kind = np.lib.format.read_array_header_1_0(member)
-    if math.prod(shape) * kind.itemsize > item.file_size:
-        raise ValueError(f"{item.filename} is cut off")
-
-
 def resolve(journal: Journal, run: str) -> tuple[str, RunFolder]:
     """RUN → its id and folder, to be read: an id, `last`, or the folder of an exported run."""
     path = Path(run)
@@ -430,23 +301,3 @@ def _is_folder(path: Path) -> bool:
         return path.is_dir()
     except (OSError, ValueError):
         return False
-
-
-def _write_csv(
-    path: Path, samples: Samples, units: Units, span: tuple[float, float] | None = None
-) -> None:
-    """All samples, or those between two instants (s) of the run: what `analyze` reads best."""
-    linear = units.position == "m"
-    position, effort = ("m", "N") if linear else ("rad", "Nm")
-    kind = "force" if linear else "torque"
-    header = [
-        "time_s", f"position_{position}", f"{kind}_{effort}", f"command_{effort}", "sent_s",
-        "lateness_s", "missed_cycles",
-    ]  # fmt: skip
-    file = io.StringIO(newline="")
-    writer = csv.writer(file)
-    writer.writerow(header)
-    since = samples.time - (samples.sent[0] if len(samples) else 0.0)
-    kept = slice(None) if span is None else (since >= span[0]) & (since <= span[1])
-    writer.writerows(zip(*(samples[name][kept].tolist() for name in _COLUMNS), strict=True))
-    replace(path, file.getvalue().encode())

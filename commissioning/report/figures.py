@@ -21,7 +21,7 @@ from commissioning.result.experiment import Oscillated
 from commissioning.result.found import Units
 from commissioning.result.words import number
 from commissioning.result.worth import GainSet, Verification
-from commissioning.runs import Array, Samples
+from commissioning.samples import Array, Samples
 from commissioning.tuning.margins import LEAST_MARGIN
 
 __all__ = [

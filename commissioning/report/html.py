@@ -18,7 +18,7 @@ from commissioning.result.codec import printable
 from commissioning.result.document import RunResult
 from commissioning.result.found import POINTS, QUANTITIES
 from commissioning.result.worth import LOOPS
-from commissioning.runs import Samples
+from commissioning.samples import Samples
 from profiles.errors import UsageError
 from profiles.plain import plain
 

@@ -28,7 +28,8 @@ from commissioning.rig.preflight import check_watchdog, choose_limits, look, wri
 from commissioning.rig.results import Rejected, experiment
 from commissioning.rig.rig import Rig
 from commissioning.runner import Recorder
-from commissioning.runs import RunFolder, Samples
+from commissioning.runs import RunFolder
+from commissioning.samples import Samples
 from commissioning.settings import Settings
 from drivers.drive import Drive
 from profiles.axis import Axis

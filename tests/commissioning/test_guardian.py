@@ -50,9 +50,7 @@ def energised(serve: Serve, wire: str, tmp_path: Path) -> Generator[tuple[Profil
             drive.enable(Mode.TORQUE)
             drive.exchange(0.0)
             yield drive, guardian
-        with contextlib.suppress(LinkError):  # answers to the guardian's frames come to us
-            drive.read("max_torque")
-        assert drive.read("max_torque").raw == 3000, "the way to the drive is ours, as before"
+        assert answered(drive, "max_torque") == 3000, "the way to the drive is ours, as before"
     finally:
         drive.close()
 
@@ -68,6 +66,16 @@ def begun(axis: Axis) -> str:
             serial="",
             context=RunContext("{}", 0.85),
         )
+
+
+def answered(drive: ProfiledDrive, name: str) -> int | None:
+    """A parameter; answers to the guardian's frames come to us, too, and are passed over."""
+    until = time.monotonic() + _PATIENCE
+    while time.monotonic() < until:
+        with contextlib.suppress(LinkError):
+            return drive.read(name).raw
+        time.sleep(_LOOK)
+    return None
 
 
 def comes_to_rest(drive: ProfiledDrive) -> bool:

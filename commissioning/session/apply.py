@@ -137,7 +137,11 @@ def _check(result: RunResult, proposal: tuple[Change, ...]) -> None:
         reason = f"its status is '{result.status}'"
     elif result.friction.coulomb is None:
         reason = "it measured no friction"
-    raise Refused(f"run {result.run} proposes nothing: {reason}", code="run.nothing-proposed")
+    raise Refused(
+        f"run {result.run} proposes nothing: {reason}",
+        code="run.nothing-proposed",
+        hint="'tworelay history' lists those that do",
+    )
 
 
 def _present(change: Change, drive: Drive) -> Change:

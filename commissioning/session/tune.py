@@ -78,7 +78,7 @@ def tune(result: RunResult, axis: Axis, profile: Profile, drive: DriveLoop) -> T
     """
     if result.coulomb is None:
         raise Refused(
-            f"run {result.run} is {result.status}: without a friction that can be trusted no gain "
+            f"run {result.run} has the status '{result.status}': without a friction that can be trusted no gain "
             "is proposed; identify the axis again",
             code="run.no-friction",
         )

@@ -193,7 +193,11 @@ def _check(result: RunResult, run_id: str, fraction: float | None) -> None:
         reason = (
             "it proposes no compensation" if result.measured else f"its status is '{result.status}'"
         )
-        raise Refused(f"run {run_id} cannot be verified: {reason}", code="verify.no-proposal")
+        raise Refused(
+            f"run {run_id} cannot be verified: {reason}",
+            code="verify.no-proposal",
+            hint="'tworelay history' lists the runs",
+        )
 
 
 def _options(result: RunResult, wishes: Wishes, *, adopted: bool) -> Options:

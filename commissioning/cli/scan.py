@@ -65,9 +65,5 @@ def _range(text: str) -> range:
     first, dash, last = text.partition("-")
     ends = (first, last if dash else first)
     if not all(end.isdigit() for end in ends) or not 0 <= int(ends[0]) <= int(ends[1]) <= 255:
-        raise click.BadParameter(
-            f"'{text}' must be A-B with 0 ≤ A ≤ B ≤ 255.", param_hint="--units"
-        )
-            f"'{text}' must be A-B with 0 ≤ A ≤ B ≤ 255.", param_hint="--units"
-        )
+        raise click.BadParameter(f"'{text}' must be A-B with 0 ≤ A ≤ B ≤ 255", param_hint="--units")
     return range(int(ends[0]), int(ends[1]) + 1)

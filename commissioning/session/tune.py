@@ -78,9 +78,10 @@ def tune(result: RunResult, axis: Axis, profile: Profile, drive: DriveLoop) -> T
     """
     if result.coulomb is None:
         raise Refused(
-            f"run {result.run} has the status '{result.status}': without a friction that can be trusted no gain "
-            "is proposed; identify the axis again",
+            f"run {result.run} has the status '{result.status}': without a friction that can be "
+            "trusted no gain is proposed",
             code="run.no-friction",
+            hint="identify the axis again",
         )
     try:
         with np.errstate(divide="raise", invalid="raise"):

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from drivers.bus import Bus
-from drivers.errors import AccessDenied, WriteFailed
+from drivers.errors import AccessDenied, NoAnswer, WriteFailed
 from drivers.patience import patiently
 from profiles.errors import UnknownName
 from profiles.parameter import Access, Parameter
@@ -67,6 +67,20 @@ class RawAccess:
         """Write a raw value, unseen; raises LinkError, WriteDenied."""
         address = self.parameter(name).address
         self.patiently(lambda: self.bus.write(address, raw))
+
+    def write_surely(self, name: str, raw: int) -> None:
+        """Write a raw value whose answer may be lost; raises LinkError, WriteDenied.
+
+        What stands there tells whether it came. Once that is known nothing is on its way any more,
+        and it is sent once more: to a drive without energy, or a setting.
+        """
+        try:
+            self.write(name, raw)
+        except NoAnswer:
+            if self.parameter(name).access is Access.WRITE_ONLY:
+                raise
+            if self.read(name) != raw:
+                self.write(name, raw)
 
     def verify(self, name: str, raw: int) -> None:
         """See that the drive took a raw value; raises WriteFailed, LinkError."""

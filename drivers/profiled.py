@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Mapping
 from math import inf, nan
 
@@ -11,12 +10,11 @@ from drivers.access import POLL, RawAccess
 from drivers.bases import read_bases
 from drivers.bus import SET, Bus, StopFrames
 from drivers.counter import Counter
-from drivers.described import Described, described
+from drivers.described import described
 from drivers.drive import DriveSays, StopReport, Value
 from drivers.errors import (
     AccessDenied,
     LinkError,
-    NoAnswer,
     PreflightRefused,
     WriteDenied,
     WriteFailed,
@@ -32,7 +30,7 @@ from drivers.stopping import Rest, StopPath
 from drivers.writing import why_not_written
 from profiles.axis import Axis
 from profiles.identity import NOBODY, Identity
-from profiles.parameter import Access, Protection
+from profiles.parameter import Protection
 from profiles.procedures import Mode
 from profiles.schema import Profile
 
@@ -153,26 +151,10 @@ class ProfiledDrive:
             if name == "mode_of_operation":
                 self._modes.write(raw)
             else:
-                self._write(what, raw)
+                self._access.write_surely(name, raw)
         except WriteDenied as error:
             raise WriteDenied(f"'{name}': {error}", busy=error.busy) from None
         self._access.verify(name, raw)
-
-    def _write(self, what: Described, raw: int) -> None:
-        """Its answer may be lost, and not the write: what stands there tells.
-
-        Once that is known nothing is on its way any more, and a setting may be sent again.
-        """
-        try:
-            self._access.write(what.name, raw)
-        except NoAnswer:
-            if what.parameter.access is Access.WRITE_ONLY:
-                raise
-            if self._access.read(what.name) == raw:
-                return
-            if what.protection is Protection.COMMAND:
-                raise
-            self._access.write(what.name, raw)
 
     def store(self) -> None:
         """Run the profile's store procedure; raises WriteFailed."""
@@ -265,8 +247,7 @@ class ProfiledDrive:
             else round(rest / target.step)
         )
         target.check(self._rest_raw)
-        with contextlib.suppress(NoAnswer):  # it is looked at
-            self._access.write(target.name, self._rest_raw)
+        self._access.write_surely(target.name, self._rest_raw)
         self._access.verify(target.name, self._rest_raw)
         self._bus.start(self._frame(self._rest_raw))
         self._energised = True
@@ -285,11 +266,12 @@ class ProfiledDrive:
         """
         if self._set_point.mode is not Mode.TORQUE:
             return
-        try:
-            self._bus.write(self._set_point.address, 0)
+        address = self._set_point.address
+        try:  # no patience: the stop path ends with this
+            self._bus.write(address, 0)
         except NoAnswer:
-            if self._bus.read(self._set_point.address) != 0:
-                raise
+            if self._bus.read(address) != 0:
+                self._bus.write(address, 0)
 
     def _select(self, mode: Mode) -> int | None:
         """Command the set-point of a mode from now on; returns the mode's code."""

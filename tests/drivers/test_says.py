@@ -7,11 +7,12 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import AccessDenied, LinkError, NoAnswer
+from drivers.errors import AccessDenied, LinkError, NoAnswer, WriteFailed
 from drivers.link import open_drive
 from drivers.profiled import ProfiledDrive
 from profiles.axis import Axis
 from profiles.procedures import Mode
+from tests.raising import raises
 
 
 @pytest.fixture
@@ -103,15 +104,25 @@ def test_a_setting_that_is_lost_twice_ends_the_job(drive: ProfiledDrive) -> None
         drive.write("max_torque", 700)
 
 
-def test_a_command_is_not_sent_twice(drive: ProfiledDrive) -> None:
+def test_a_set_point_without_energy_is_sent_once_more(drive: ProfiledDrive) -> None:
+    """It rests the axis: a gateway that lost it must not end the way back."""
     bus: Any = drive._bus
-    sent = []
+    write, sent = bus.write, []
 
-    def lost(at: object, raw: int) -> None:
+    def lossy(at: object, raw: int) -> None:
         sent.append(raw)
-        raise NoAnswer("lost")
+        if len(sent) == 1:
+            raise NoAnswer("lost")
+        write(at, raw)
 
-    bus.write = lost
-    with pytest.raises(NoAnswer):
+    bus.write = lossy
+    drive.write("torque_target", 5)
+    assert sent == [5, 5]
+    assert drive.read("torque_target").raw == 5
+
+
+def test_a_set_point_is_not_put_back_while_there_is_energy(drive: ProfiledDrive) -> None:
+    drive.enable(Mode.TORQUE)
+    with raises(WriteFailed, "write.enabled"):
         drive.write("torque_target", 5)
-    assert sent == [5]
+    drive.disable()

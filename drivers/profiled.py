@@ -15,6 +15,7 @@ from drivers.drive import DriveSays, StopReport, Value
 from drivers.errors import (
     AccessDenied,
     LinkError,
+    NoAnswer,
     PreflightRefused,
     WriteDenied,
     WriteFailed,

@@ -40,7 +40,6 @@ _COARSE, _TOO_COARSE = 150, 30  # counts of half-swing
 _DWELL, _MUCH_DWELL = 0.02, 0.15  # of the time
 _TORQUE_OFF = 0.08  # of the command
 _CONDITION = 200.0
-_HARMONIC = 0.05  # difference of the inertia at the harmonics
 _FEW_PERIODS = 6.0
 _AGREE = 0.03  # of f
 

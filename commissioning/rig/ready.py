@@ -42,7 +42,6 @@ class Ready:
     stopping : what braking is certain
     pace : of the oscillations
     design : the oscillations, for this axis
-    duration : s, of the whole experiment
     """
 
     mover: Mover
@@ -54,7 +53,6 @@ class Ready:
     stopping: Stopping
     pace: PeriodNeeds
     design: RelayDesign
-    duration: float
 
     @classmethod
     def of(
@@ -74,10 +72,7 @@ class Ready:
         """
         chosen = design(context, known, stopping, pace)
         envelope = replace(envelope, cautious=False, stopping=stopping, relay_torque=chosen.most)
-        return cls(
-            mover, options, context, units, envelope, known, stopping, pace, chosen,
-            envelope.duration,
-        )  # fmt: skip
+        return cls(mover, options, context, units, envelope, known, stopping, pace, chosen)
 
     def redesigned(self, found: ModulatingEstimate) -> Ready | None:
         """The axis with other oscillations, by a first record; None: they were right."""
@@ -125,7 +120,7 @@ class Ready:
     @property
     def time_left(self) -> float:
         """Time that is left of the allowed duration, s."""
-        return self.duration - self.mover.spent
+        return self.envelope.duration - self.mover.spent
 
     def heat(self, torque: float, seconds: float) -> float:
         """Share of the i²t budget in use after a torque about the bias for `seconds`.

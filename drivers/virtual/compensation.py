@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import pi
 
-__all__ = ["compensation"]
+__all__ = ["TENTH_RPM", "compensation"]
 
-_TENTH_RPM = 2 * pi / 600  # rad/s
+TENTH_RPM = 2 * pi / 600  # rad/s
 _VISCOUS = 1e-5  # of the rated torque, per rad/s
 
 
@@ -21,7 +21,7 @@ def compensation(values: Mapping[str, int], velocity: float, rated: float) -> fl
     """
     unit = rated / 1000
     torque = values["torque_offset"] * unit
-    threshold = values["coulomb_speed"] * _TENTH_RPM
+    threshold = values["coulomb_speed"] * TENTH_RPM
     share = min(abs(velocity) / threshold, 1.0) if threshold else 1.0
     if velocity > 0:
         torque += share * values["coulomb_positive"] * unit

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from math import pi
 
 from drivers.virtual.axes import VirtualAxis
-from drivers.virtual.compensation import compensation
-from drivers.virtual.interpolator import Interpolator
+from drivers.virtual.compensation import TENTH_RPM, compensation
+from drivers.virtual.interpolator import SECOND, Interpolator
 from drivers.virtual.loops import TICK, Loops, as_delivered
 from drivers.virtual.memory import Memory
 from drivers.virtual.objects import (
@@ -31,9 +30,8 @@ from drivers.virtual.states import (
     State,
 )
 
-__all__ = ["Firmware"]
+__all__ = ["SECOND", "Firmware"]
 
-SECOND = 1_000_000_000  # ns
 _HALF_TURN_OF_I32 = 1 << 31  # a 32-bit position counter rolls over
 _SUPERVISION = 1_000_000  # ns: how often the limits are looked at where no loop is closed
 _NEVER = 1 << 62
@@ -42,8 +40,7 @@ _LONGEST_STOP = SECOND  # ns: then the energy goes anyway
 _OVERSPEED = 1.5  # of the motor's speed: then it goes at once
 _BRAKE_RELEASE = 50_000_000  # ns
 _BRAKE_APPLY = 50_000_000  # ns
-_TENTH_RPM = 2 * pi / 600  # rad/s
-_NEAR_SPEED_LIMIT = 0.9 * _TENTH_RPM
+_NEAR_SPEED_LIMIT = 0.9 * TENTH_RPM
 _REST_SPEED_SHARE = 2e-4  # of the speed limit: slower than this counts as standstill
 
 _GAINS = ("velocity_gain", "integral_time", "position_gain")
@@ -477,7 +474,7 @@ class Firmware:
 
     @property
     def _speed_limit(self) -> float:
-        return self.values["max_speed"] * _TENTH_RPM
+        return self.values["max_speed"] * TENTH_RPM
 
     def _tick(self) -> None:
         """One period of the drive's control loops."""

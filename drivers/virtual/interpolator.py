@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-__all__ = ["Interpolator"]
+__all__ = ["SECOND", "Interpolator"]
 
-_SECOND = 1_000_000_000  # ns
+SECOND = 1_000_000_000  # ns
 
 
 class Interpolator:
@@ -24,7 +24,7 @@ class Interpolator:
         """A target has come; the interval is that since the one before, if it is one."""
         interval = now - self._arrived_at
         self._arrived_at = now
-        if 0 < interval <= _SECOND // 5:
+        if 0 < interval <= SECOND // 5:
             self._interval = interval
         self._from = self.command
         self._step = (target - self.command) / self._interval
@@ -42,4 +42,4 @@ class Interpolator:
             self.command = target
             return 0.0
         self.command = self._from + self._step * elapsed
-        return self._step * _SECOND
+        return self._step * SECOND

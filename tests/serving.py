@@ -65,11 +65,16 @@ def _run(arguments: tuple[str, ...], connection: Connection, environment: dict[s
 
 
 @contextlib.contextmanager
-def serve(*arguments: str, links: int = 1, state: Path | None = None) -> Generator[list[str]]:
-    """The first `links` LINKs of `tworelay virtual serve`; `state`: its non-volatile memory."""
+def serve(
+    *arguments: str, links: int = 1, state: Path | None = None, several: bool = False
+) -> Generator[list[str]]:
+    """The first `links` LINKs of `tworelay virtual serve`.
+
+    `state`: its non-volatile memory; `several` have theirs under TWORELAY_HOME.
+    """
     reader, writer = _CONTEXT.Pipe(duplex=False)
     with tempfile.TemporaryDirectory() as folder:
-        memory = ("--state", str(state or Path(folder) / "drive.json"))
+        memory = () if several else ("--state", str(state or Path(folder) / "drive.json"))
         server = _CONTEXT.Process(
             target=_run, args=((*arguments, *memory), writer, dict(os.environ)), daemon=True
         )

@@ -1,8 +1,9 @@
-"""tworelay virtual list | serve AXIS."""
+"""tworelay virtual list | serve AXIS..."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -14,7 +15,10 @@ from commissioning.cli.output import document, json_text, say
 from profiles.errors import UsageError
 
 if TYPE_CHECKING:
+    from drivers.link_text import Link
     from drivers.virtual.axes import VirtualAxis
+    from drivers.virtual.served import ServedDrive
+    from profiles.schema import Profile
 
 __all__ = ["command"]
 
@@ -60,13 +64,13 @@ def list_axes(habits: bool, as_json: bool) -> None:
 
 
 @command.command("serve")
-@click.argument("axis")
+@click.argument("axes", nargs=-1, required=True, metavar="AXIS...")
 @click.option(
     "--set",
     "changes",
     multiple=True,
     metavar="K=V",
-    help="Option of the axis, as in a virtual:// link.",
+    help="Option of every axis, as in a virtual:// link.",
 )
 @click.option("--modbus-tcp", metavar="HOST:PORT", help="Modbus TCP; port 0 is any free one.")
 @click.option("--modbus-rtu", type=click.Choice(["pty"]), help="Modbus RTU on a pseudo-terminal.")
@@ -90,8 +94,8 @@ def list_axes(habits: bool, as_json: bool) -> None:
     help="File of its non-volatile memory.",
 )
 @verbose
-def serve_axis(
-    axis: str,
+def serve_axes(
+    axes: tuple[str, ...],
     changes: tuple[str, ...],
     modbus_tcp: str | None,
     modbus_rtu: str | None,
@@ -103,48 +107,104 @@ def serve_axis(
     clock: Literal["wall", "step"],
     state: Path | None,
 ) -> None:
-    """Serve the virtual AXIS until Ctrl-C; prints one ready LINK a line."""
-    from drivers.link import parse, state_file
-    from drivers.virtual.axes import configured
+    """Serve virtual AXES on one bus until Ctrl-C; prints one ready LINK a line.
+
+    Several are units behind one Modbus gateway or on one line, nodes on one CAN bus, with one
+    clock: bench?unit=1 bench?unit=2&coulomb=0.2, or node=.
+    """
     from drivers.virtual.habits import habits_of
-    from drivers.virtual.memory import Memory
-    from drivers.virtual.serve import Endpoints, serve
+    from drivers.virtual.serve import serve
+    from drivers.virtual.served import BusOfDrives, Endpoints
     from profiles.library import load_profile
 
-    query = "&".join(changes)
-    link = parse(f"virtual://{axis}" + (f"{'&' if '?' in axis else '?'}{query}" if query else ""))
-    options = {k: value for k, value in link.options.items() if k not in ("state", "habit")}
     endpoints = Endpoints(
         modbus_tcp=_place(modbus_tcp),
         modbus_rtu_tcp=_place(modbus_rtu_tcp),
         modbus_rtu_pty=modbus_rtu == "pty",
         socketcand=_place(socketcand),
         slcan_pty=slcan == "pty",
-        twin_of=load_profile(profile) if profile else None,
-        habits=habits_of(filter(None, (*link.options.get("habit", "").split(","), *habits))),
     )
-    modbus = endpoints.modbus_tcp or endpoints.modbus_rtu_tcp or endpoints.modbus_rtu_pty
-    other = endpoints.socketcand or endpoints.slcan_pty
-    endpoints.habits.for_bus("modbus" if modbus else "canopen")
-    if endpoints.twin_of is not None and (modbus if endpoints.twin_of.bus == "canopen" else other):
+    links = [_link(axis, changes) for axis in axes]
+    named = [link.options.get("habit", "").split(",") for link in links]
+    found = habits_of(filter(None, (*(name for each in named for name in each), *habits)))
+    found.for_bus("modbus" if endpoints.is_modbus else "canopen")
+    twin_of = load_profile(profile) if profile else None
+    if twin_of is not None and (
+        endpoints.is_modbus if twin_of.bus == "canopen" else endpoints.is_canopen
+    ):
         raise UsageError(
-            f"profile '{endpoints.twin_of.name}' is for {endpoints.twin_of.bus}: its twin is "
-            "served there only"
+            f"profile '{twin_of.name}' is for {twin_of.bus}: its twin is served there only"
         )
-    if endpoints == Endpoints(twin_of=endpoints.twin_of, habits=endpoints.habits):
+    if not (endpoints.is_modbus or endpoints.is_canopen):
         raise UsageError(
             "serve where? Give --modbus-tcp HOST:PORT, --modbus-rtu pty, --modbus-rtu-tcp "
             "HOST:PORT, --socketcand HOST:PORT or --slcan pty"
         )
-    served = configured(link.place, options, state or link.options.get("state"))
+    if state is not None and len(links) > 1:
+        raise UsageError(
+            f"--state {state}: {len(links)} drives have a memory each: name them in the axes, "
+            "as in bench?state=a.json"
+        )
+    key = "unit" if endpoints.is_modbus else "node"
+    drives = _told_apart((_served(link, n, state, twin_of) for n, link in enumerate(links)), key)
+    sys.exit(128 + serve([BusOfDrives(drives, endpoints, found)], clock, say))
+
+
+def _link(axis: str, changes: tuple[str, ...]) -> Link:
+    """AXIS[?OPTIONS], and what is set for every one, as a link."""
+    from drivers.link_text import parse
+
+    query = "&".join(changes)
+    return parse(f"virtual://{axis}" + (f"{'&' if '?' in axis else '?'}{query}" if query else ""))
+
+
+def _served(link: Link, n: int, state: Path | None, twin_of: Profile | None) -> ServedDrive:
+    """The `n`-th axis of a bus, from 0."""
+    from drivers.link import state_file
+    from drivers.link_text import Link
+    from drivers.virtual.axes import configured
+    from drivers.virtual.memory import Memory
+    from drivers.virtual.served import FIRST_NODE, FIRST_UNIT, ServedDrive
+
+    ours = {key: value for key, value in link.options.items() if key not in _OF_THE_BUS}
+    named = link.options.get("state")
+    axis = configured(link.place.strip("/"), ours, state or named)
     for key in ("jitter", "loss", "stamp"):
-        if getattr(served, key):
+        if getattr(axis, key):
             raise UsageError(f"{key} is for virtual:// links: a served drive has its wire's own")
-    received = serve(
-        served, Memory.at(state or state_file(link)), endpoints, clock,
-        say,
-    )  # fmt: skip
-    sys.exit(128 + received)
+    memory = state or state_file(Link(link.text, link.scheme, link.place, {**ours, **_if(named)}))
+    return ServedDrive(
+        axis,
+        Memory.at(memory),
+        link.integer("unit", 1, 247) or FIRST_UNIT + n,
+        link.integer("node", 1, 127) or FIRST_NODE + n,
+        twin_of,
+    )
+
+
+_OF_THE_BUS = "unit", "node", "state", "habit"
+
+
+def _if(state: str | None) -> dict[str, str]:
+    return {} if state is None else {"state": state}
+
+
+def _told_apart(drives: Iterable[ServedDrive], key: str) -> list[ServedDrive]:
+    """Raises UsageError where two are one drive, or have one address: `key`."""
+    found: list[ServedDrive] = []
+    for drive in drives:
+        for other in found:
+            if drive.axis.serial == other.axis.serial:
+                raise UsageError(
+                    f"{drive.axis.name} stands there twice, with one serial number and one memory: "
+                    f"tell them apart by an option, as in {drive.axis.name}?seed=2"
+                )
+            if (number := getattr(drive, key)) == getattr(other, key):
+                raise UsageError(
+                    f"{other.axis.name} and {drive.axis.name} are both {key} {number} of one bus"
+                )
+        found.append(drive)
+    return found
 
 
 def _coulomb(axis: VirtualAxis) -> str:

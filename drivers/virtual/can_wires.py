@@ -9,7 +9,7 @@ import asyncio
 import contextlib
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from drivers.virtual.canopen_node import CanopenNode, Frame
 from drivers.virtual.pseudo_terminal import pseudo_terminal
@@ -22,10 +22,11 @@ _MOST_UNREAD = 1_000_000  # bytes that a client may leave unread: ten thousands 
 
 
 class CanBus:
-    """The node and its clients on one bus."""
+    """Nodes and their clients on one bus; the nodes have one clock."""
 
-    def __init__(self, node: CanopenNode) -> None:
-        self.node = node
+    def __init__(self, nodes: Sequence[CanopenNode]) -> None:
+        self._nodes = nodes
+        self._clock = nodes[0].device.clock
         self._clients: list[Deliver] = []
 
     def attach(self, deliver: Deliver) -> None:
@@ -37,23 +38,29 @@ class CanBus:
         self._clients.remove(deliver)
 
     def transmit(self, frame: Frame, origin: Deliver | None, *, remote: bool = False) -> None:
-        """A client sends; the others and the node hear it, and the node's answers go to all.
+        """A client sends; the others and the nodes hear it, and a node's answers go to all.
 
-        `remote`: it asks for a frame, which is the node's alone.
+        `remote`: it asks for a frame, which is a node's alone.
         """
         for client in self._clients:
             if client is not origin and not remote:
                 client(frame)
-        self._spread(self.node.receive(frame.cob_id, frame.data, remote=remote))
+        self._clock.turn()
+        for node in self._nodes:
+            self._spread(node.receive(frame.cob_id, frame.data, remote=remote), node)
 
     def poll(self) -> None:
-        """Let the node's timers run."""
-        self._spread(self.node.poll())
+        """Let the nodes' timers run."""
+        for node in self._nodes:
+            self._spread(node.poll(), node)
 
-    def _spread(self, frames: list[Frame]) -> None:
+    def _spread(self, frames: list[Frame], sender: CanopenNode) -> None:
         for frame in frames:
             for client in list(self._clients):
                 client(frame)
+            for node in self._nodes:
+                if node is not sender:
+                    self._spread(node.receive(frame.cob_id, frame.data), node)
 
 
 class SlcanPty:

@@ -2,7 +2,7 @@
 
 Two clocks. `wall`: physics is advanced to now before each answer, watchdogs run by themselves.
 `step`: each cyclic exchange, and each write of `simulation_advance`, lets exactly that much time
-pass, and time stands still otherwise.
+pass, and time stands still otherwise. Drives on one bus have one clock.
 """
 
 from __future__ import annotations
@@ -13,33 +13,76 @@ from typing import Literal
 from drivers.virtual.firmware import SECOND, Firmware
 from drivers.virtual.states import DenialReason, Denied
 
-__all__ = ["Clock", "Device"]
+__all__ = ["Clock", "ClockKind", "Device"]
 
-Clock = Literal["wall", "step"]
+ClockKind = Literal["wall", "step"]
 
 _LONGEST_STEP = 60 * SECOND
 
 
-class Device:
-    """Firmware behind a clock, with the services that are no plain objects."""
+class Clock:
+    """The time of all drives on one bus, ns.
 
-    def __init__(self, firmware: Firmware, clock: Clock) -> None:
+    Attributes
+    ----------
+    stepping : it stands still between exchanges
+    cycle : ns, of an exchange
+    """
+
+    def __init__(self, kind: ClockKind, cycle: int) -> None:
+        self.stepping = kind == "step"
+        self.cycle = cycle
+        self._now = self._passed = 0
+        self._started = time.monotonic_ns()
+
+    def now(self) -> int:
+        """Where every drive on the bus has to be before it is asked."""
+        return self._now if self.stepping else time.monotonic_ns() - self._started
+
+    def passed(self, until: int) -> None:
+        """One drive has stepped; the others follow from the next turn on."""
+        self._passed = max(self._passed, until)
+
+    def turn(self) -> None:
+        """What was said on the bus has been heard by all of it."""
+        self._now = self._passed
+
+
+class Device:
+    """Firmware behind a clock, with the services that are no plain objects.
+
+    `clock` : the bus' own, where it has other drives
+    """
+
+    def __init__(self, firmware: Firmware, clock: Clock | ClockKind) -> None:
         self.firmware = firmware
-        self.stepping = clock == "step"
-        self.cycle = round(firmware.axis.cycle * SECOND)
-        self._started = time.monotonic_ns() - firmware.now
+        cycle = round(firmware.axis.cycle * SECOND)
+        self.clock = Clock(clock, cycle) if isinstance(clock, str) else clock
+        self.stepping = self.clock.stepping
+
+    @property
+    def cycle(self) -> int:
+        """Of an exchange, ns."""
+        return self.clock.cycle
+
+    @cycle.setter
+    def cycle(self, cycle: int) -> None:
+        self.clock.cycle = cycle
 
     def catch_up(self) -> None:
-        """On the wall clock: bring physics to now. On the step clock: nothing."""
-        if not self.stepping:
-            behind = time.monotonic_ns() - self._started - self.firmware.now
-            if behind > 0:
-                self.firmware.advance(behind)
+        """Bring physics to where the bus' clock is."""
+        behind = self.clock.now() - self.firmware.now
+        if behind > 0:
+            self.firmware.advance(behind)
 
     def end_cycle(self) -> None:
         """One cyclic exchange is complete; on the step clock its time passes now."""
         if self.stepping:
-            self.firmware.advance(self.cycle)
+            self._step(self.clock.cycle)
+
+    def _step(self, duration: int) -> None:
+        self.firmware.advance(duration)
+        self.clock.passed(self.firmware.now)
 
     def read(self, key: str) -> int:
         """Raw value by key; raises Denied."""
@@ -60,7 +103,7 @@ class Device:
                 raise Denied(DenialReason.STATE)
             if not 0 <= value * 1000 <= _LONGEST_STEP:
                 raise Denied(DenialReason.RANGE)
-            self.firmware.advance(value * 1000)
+            self._step(value * 1000)
         elif key == "store_command":
             if value != 1:
                 raise Denied(DenialReason.RANGE)

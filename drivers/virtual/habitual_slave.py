@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import random
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from drivers.virtual.habits import Habits
@@ -46,15 +46,33 @@ def bent(layout: Layout, habits: Habits) -> Layout:
 
 
 def framings(
-    registers: RegisterMap, unit: int, habits: Habits, *, rtu: bool
+    units: Mapping[int, RegisterMap], habits: Habits, *, rtu: bool
 ) -> Callable[[], Framing]:
-    """What makes a framing for each connection to the drive."""
-    slave = ModbusSlave(registers)
+    """What makes a framing for each connection to the drives, by their units."""
     kind = RtuFraming if rtu else MbapFraming
+    slaves = {unit: _in_turn(registers) for unit, registers in units.items()}
     if not habits.values:
-        return lambda: kind(unit, slave.answer)
-    answers = _Answers(registers, slave.answer, habits)
-    return lambda: _HabitualFraming(kind(unit, answers), answers, habits, rtu=rtu)
+        return lambda: kind(slaves)
+    wait = _Wait()
+    answers = {u: _Answers(units[u], answer, habits, wait) for u, answer in slaves.items()}
+    return lambda: _HabitualFraming(kind(answers), wait, habits, rtu=rtu)
+
+
+def _in_turn(registers: RegisterMap) -> Answer:
+    """The slave of these registers, once its bus is where the last one asked has brought it."""
+    slave, clock = ModbusSlave(registers), registers.device.clock
+
+    def answer(pdu: bytes) -> bytes:
+        clock.turn()
+        return slave.answer(pdu)
+
+    return answer
+
+
+class _Wait:
+    """Before the last answer, whosever it was, s."""
+
+    seconds = 0.0
 
 
 class _Answers:
@@ -63,17 +81,17 @@ class _Answers:
     What takes time takes it of the wall: that of a drive that steps stands still while it is asked.
     """
 
-    def __init__(self, registers: RegisterMap, answer: Answer, habits: Habits) -> None:
+    def __init__(self, registers: RegisterMap, answer: Answer, habits: Habits, wait: _Wait) -> None:
         self._registers = registers
         self._answer = answer
         self._habits = habits
+        self._wait = wait
         self._asked = 0
         self._saved_until = self._boots_at = 0.0
-        self.delay = 0.0  # s, of the last answer
 
     def __call__(self, pdu: bytes) -> bytes:
         habits, now = self._habits, time.monotonic()
-        self.delay = 0.0
+        self._wait.seconds = 0.0
         if "slow-boot" in habits and not self._boots_at:
             self._boots_at = now + habits.seconds("slow-boot")
         is_mute = pdu[0] == READ_IDENTIFICATION and "mute43" in habits
@@ -99,7 +117,7 @@ class _Answers:
         if pdu[0] in _WRITES and self._is_turn("acknowledge", register):
             return bytes((pdu[0] | 0x80, _ACKNOWLEDGE))
         if pdu[0] in _WRITES and register == _STORE:
-            self.delay = habits.seconds("slow-save") + habits.seconds("silent-save")
+            self._wait.seconds = habits.seconds("slow-save") + habits.seconds("silent-save")
             self._saved_until = now + max(
                 habits.seconds("busy-save"), habits.seconds("silent-save")
             )
@@ -119,10 +137,10 @@ class _Answers:
 class _HabitualFraming(Framing):
     """What goes over the wire, bent."""
 
-    def __init__(self, plain: Framing, answers: _Answers, habits: Habits, *, rtu: bool) -> None:
-        super().__init__(0, answers)
+    def __init__(self, plain: Framing, wait: _Wait, habits: Habits, *, rtu: bool) -> None:
+        super().__init__({})
         self._plain = plain
-        self._answers = answers
+        self._wait = wait
         self._habits = habits
         self._rtu = rtu
         self._noises = 0
@@ -170,7 +188,7 @@ class _HabitualFraming(Framing):
         habits = self._habits
         if answer is self._echo:
             return [(0.0, answer)]  # it is heard while it is sent
-        wait = self._answers.delay + habits.seconds("slow-answer")
+        wait = self._wait.seconds + habits.seconds("slow-answer")
         if "irregular" in habits:
             wait += self._random.uniform(0.0, habits.seconds("irregular"))
         if "fragments" not in habits:

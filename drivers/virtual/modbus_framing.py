@@ -6,7 +6,7 @@ By MBAP on TCP, by length and check sum on a serial line.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 __all__ = ["Framing", "MbapFraming", "RtuFraming", "crc"]
 
@@ -14,6 +14,8 @@ _HEADER = 7  # bytes of MBAP
 _LONGEST_PDU = 253
 _LONGEST_FRAME = 256
 _BROADCAST = 0
+_OF_THE_DEVICE = 0, 255  # units that a device with an address of its own goes by
+_NO_TARGET = 11  # exception code of a gateway: nobody there answers
 _BY_FUNCTION = {
     1: 8,
     2: 8,
@@ -46,9 +48,9 @@ class Framing:
 
     is_closed = False
 
-    def __init__(self, unit: int, answer: Answer) -> None:
-        self._unit = unit
-        self._answer = answer
+    def __init__(self, answers: Mapping[int, Answer]) -> None:
+        """`answers` : what answers, by its unit."""
+        self._answers = answers
         self._buffer = b""
 
     @property
@@ -72,7 +74,8 @@ class Framing:
 class MbapFraming(Framing):
     """Modbus TCP: transaction, protocol, length, unit (Messaging on TCP/IP V1.0b, 3.1.3).
 
-    A device of its own goes by the units 0 and 255, too, and answers as it was called.
+    A device of its own goes by the units 0 and 255, too, and answers as it was called. Several are
+    behind a gateway, which says so where none of them is meant (4.4.2, Application Protocol 7).
     """
 
     def feed(self, data: bytes) -> list[bytes]:
@@ -87,14 +90,22 @@ class MbapFraming(Framing):
             if len(self._buffer) < 6 + length:
                 break
             pdu, self._buffer = self._buffer[_HEADER : 6 + length], self._buffer[6 + length :]
-            if protocol or unit not in (self._unit, 0, 255):
+            if protocol:
                 continue
-            response = self._answer(pdu)
+            response = self._answered(unit, pdu)
             if response:
                 answers.append(
                     struct.pack(">HHHB", transaction, 0, len(response) + 1, unit) + response
                 )
         return answers
+
+    def _answered(self, unit: int, pdu: bytes) -> bytes:
+        answer = self._answers.get(unit)
+        if answer is None and len(self._answers) > 1:
+            return bytes((pdu[0] | 0x80, _NO_TARGET))
+        if answer is None and unit in _OF_THE_DEVICE:
+            (answer,) = self._answers.values()
+        return b"" if answer is None else answer(pdu)
 
 
 class RtuFraming(Framing):
@@ -103,8 +114,8 @@ class RtuFraming(Framing):
     What is broken is passed over up to the next silence (Serial Line V1.02, 2.5.1).
     """
 
-    def __init__(self, unit: int, answer: Answer) -> None:
-        super().__init__(unit, answer)
+    def __init__(self, answers: Mapping[int, Answer]) -> None:
+        super().__init__(answers)
         self._is_broken = False
 
     def feed(self, data: bytes) -> list[bytes]:
@@ -137,10 +148,12 @@ class RtuFraming(Framing):
 
     def _take(self, frame: bytes) -> list[bytes]:
         unit, pdu = frame[0], frame[1:-2]
-        if unit not in (self._unit, _BROADCAST):
+        if unit == _BROADCAST:
+            for answer in self._answers.values():
+                answer(pdu)
             return []
-        response = self._answer(pdu)
-        if unit == _BROADCAST or not response:
+        response = self._answers[unit](pdu) if unit in self._answers else b""
+        if not response:
             return []
         head = bytes((unit,)) + response
         return [head + crc(head).to_bytes(2, "little")]

@@ -95,21 +95,21 @@ def test_pipelined_requests_are_answered_one_by_one_however_they_come(cut: int) 
     stream = bytes.fromhex(
         "00 01 00 00 00 03 01 03 AA 00 02 00 09 00 03 01 03 BB 00 03 00 00 00 03 FF 03 CC"
     )
-    framing = MbapFraming(1, echo)
+    framing = MbapFraming({1: echo})
     answers = framing.feed(stream[:cut]) + framing.feed(stream[cut:])
     assert [answer.hex() for answer in answers] == ["0001000000030103aa", "000300000003ff03cc"]
     assert not framing.is_closed
 
 
 def test_another_unit_s_requests_are_none_of_ours() -> None:
-    assert MbapFraming(1, echo).feed(bytes.fromhex("00 01 00 00 00 03 02 03 AA")) == []
+    assert MbapFraming({1: echo}).feed(bytes.fromhex("00 01 00 00 00 03 02 03 AA")) == []
     frame = bytes.fromhex("02 03 00 00 00 01")
-    assert RtuFraming(1, echo).feed(frame + crc(frame).to_bytes(2, "little")) == []
+    assert RtuFraming({1: echo}).feed(frame + crc(frame).to_bytes(2, "little")) == []
 
 
 @pytest.mark.parametrize("length", ["00 00", "00 01", "00 FF", "FF FF"])
 def test_a_length_that_cannot_be_ends_the_connection(length: str) -> None:
-    framing = MbapFraming(1, echo)
+    framing = MbapFraming({1: echo})
     assert framing.feed(bytes.fromhex(f"00 01 00 00 {length} 01 03 AA")) == []
     assert framing.is_closed
 
@@ -118,7 +118,7 @@ READ = bytes.fromhex("01 03 00 00 00 01 84 0A")  # with the check sum of the spe
 
 
 def test_half_a_frame_does_not_swallow_the_next_one() -> None:
-    framing = RtuFraming(1, echo)
+    framing = RtuFraming({1: echo})
     assert framing.feed(READ[:5]) == []
     assert framing.is_incomplete
     assert framing.silence() == []
@@ -127,7 +127,7 @@ def test_half_a_frame_does_not_swallow_the_next_one() -> None:
 
 
 def test_a_broken_frame_is_passed_over_up_to_the_silence() -> None:
-    framing = RtuFraming(1, echo)
+    framing = RtuFraming({1: echo})
     assert framing.feed(READ[:-1] + b"\xff" + READ) == []
     assert framing.silence() == []
     assert len(framing.feed(READ)) == 1
@@ -135,7 +135,7 @@ def test_a_broken_frame_is_passed_over_up_to_the_silence() -> None:
 
 def test_a_function_of_unknown_length_ends_with_silence() -> None:
     frame = bytes.fromhex("01 64 12 34")
-    framing = RtuFraming(1, echo)
+    framing = RtuFraming({1: echo})
     assert framing.feed(frame + crc(frame).to_bytes(2, "little")) == []
     (answer,) = framing.silence()
     assert answer[:4] == frame
@@ -143,7 +143,7 @@ def test_a_function_of_unknown_length_ends_with_silence() -> None:
 
 def test_a_broadcast_is_done_and_not_answered() -> None:
     done = []
-    framing = RtuFraming(1, lambda pdu: done.append(pdu) or pdu)  # type: ignore[func-returns-value]
+    framing = RtuFraming({1: lambda pdu: done.append(pdu) or pdu})  # type: ignore[func-returns-value]
     frame = bytes.fromhex("00 06 03 10 01 F4")
     assert framing.feed(frame + crc(frame).to_bytes(2, "little")) == []
     assert done == [frame[1:]]

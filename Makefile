@@ -1,4 +1,4 @@
-# make demo | test | check | coverage | mutants | platforms | bench | fuzz | faults | faults-long | kills |
+# make demo | demo-fleet | test | check | coverage | mutants | platforms | bench | fuzz | faults | faults-long | kills |
 # habits | machine-faults | limits – each sets itself up on a bare machine with Python 3.11
 PYTHON ?= python3
 VENV := .venv
@@ -7,10 +7,14 @@ STAMP := $(VENV)/.installed
 CASES ?= 12000
 AXES ?= 2000
 
-.PHONY: demo test check coverage mutants mutants-afresh platforms bench fuzz faults faults-long habits kills machine-faults limits format lint types imports lock clean
+.PHONY: demo demo-fleet test check coverage mutants mutants-afresh platforms bench fuzz faults faults-long habits kills machine-faults limits format lint types imports lock clean
 
 demo: $(STAMP)
 	$(BIN)/tworelay demo
+
+# ends with 9: one of its axes is blocked
+demo-fleet: $(STAMP)
+	$(BIN)/tworelay demo --fleet; test $$? -eq 9
 
 # what needs a punctual computer runs one at a time, after the rest
 define TESTS

@@ -13,6 +13,7 @@ from commissioning.journal import Journal
 from commissioning.ownership import announce, owned
 from commissioning.processes import is_alive, this_process
 from commissioning.records import RunContext
+from commissioning.runner import Recorder
 from drivers.drive import Drive
 from drivers.link import open_drive
 from drivers.link_text import is_simulated
@@ -28,7 +29,10 @@ __all__ = ["Desk", "Options", "begin_run", "connect", "none_unfinished", "same_d
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What the user asks for; None: take the axis', the drive's or the product's own."""
+    """What the user asks for; None: take the axis', the drive's or the product's own.
+
+    `serial`: which drive it has to be
+    """
 
     travel: float | None = None
     max_torque: float | None = None
@@ -43,6 +47,7 @@ class Options:
     cycle: float | None = None
     without_watchdog: bool = False
     dry_run: bool = False
+    serial: str | None = None
 
 
 @dataclass
@@ -53,6 +58,7 @@ class Desk:
     ----------
     tell : one line for people about what happens
     done : the last act came to its end, and its run says so
+    recorder : of what moves, or moved last
     confirm : (question, word to be typed) → whether it was typed; raises Refused without a terminal
     """
 
@@ -62,6 +68,12 @@ class Desk:
     confirm: Callable[[str, str], bool]
     trace: Callable[..., None] | None = None
     done: bool = False
+    recorder: Recorder | None = None
+
+    def record(self) -> Recorder:
+        """A recorder of what is to move now, whose phases are told."""
+        self.recorder = Recorder(on_phase=self.tell)
+        return self.recorder
 
     @contextlib.contextmanager
     def finishing(self) -> Generator[None]:

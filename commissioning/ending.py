@@ -35,11 +35,14 @@ __all__ = [
     "cut_off",
     "ended",
     "erring",
+    "error_of",
     "failed",
     "of_failed",
     "of_run",
     "on_drive",
+    "operator",
     "stopped_state",
+    "tool",
     "untouched",
 ]
 
@@ -49,14 +52,16 @@ def _now() -> str:
     return datetime.now().astimezone().isoformat(timespec="seconds")
 
 
-def _tool() -> Tool:
+def tool() -> Tool:
+    """Whose work it is, and of which version."""
     try:
         return Tool("tworelay", version("tworelay"))
     except PackageNotFoundError:  # from a folder that is not installed
         return Tool("tworelay", "unknown")
 
 
-def _operator() -> str | None:
+def operator() -> str | None:
+    """Who is logged in here; None where the system does not tell."""
     try:
         return getpass.getuser()
     except (OSError, KeyError, ImportError):
@@ -67,8 +72,8 @@ def begun(axis: Axis) -> RunResult:
     """A result in which nothing is known yet but whose it is."""
     return RunResult(
         SCHEMA, "failed", axis.name, Units.of("rad" if axis.position_unit == "rad" else "m"),
-        _tool(),
-        platform.node() or None, _operator(), _now(), link=axis.link,
+        tool(),
+        platform.node() or None, operator(), _now(), link=axis.link,
     )  # fmt: skip
 
 
@@ -132,10 +137,14 @@ def failed(result: RunResult, error: TwoRelayError) -> RunResult:
 
 def erring(result: RunResult, error: TwoRelayError) -> RunResult:
     """The result of an act on a run that ended with `error`."""
+    return replace(result, status=error.status, error=error_of(error))
+
+
+def error_of(error: TwoRelayError) -> Error:
+    """An error as a result has it."""
     numbers = {name: fact for name, fact in error.facts.items() if not isinstance(fact, str)}
     names = {name: fact for name, fact in error.facts.items() if isinstance(fact, str)}
-    said = Error(error.code, error.whole, error.hint, numbers, names)
-    return replace(result, status=error.status, error=said)
+    return Error(error.code, error.whole, error.hint, numbers, names)
 
 
 def cut_off(result: RunResult) -> RunResult:

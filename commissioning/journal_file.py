@@ -45,6 +45,23 @@ CREATE TABLE IF NOT EXISTS events (
 );
 CREATE TABLE IF NOT EXISTS adopted (run TEXT PRIMARY KEY REFERENCES runs(id), at REAL NOT NULL);
 CREATE INDEX IF NOT EXISTS intents_of_run ON intents(run);
+CREATE TABLE IF NOT EXISTS fleet_runs (
+    id TEXT PRIMARY KEY, created REAL NOT NULL, name TEXT NOT NULL, file TEXT NOT NULL,
+    job TEXT NOT NULL, definition TEXT NOT NULL, state TEXT NOT NULL, host TEXT NOT NULL,
+    operator TEXT NOT NULL, pid INTEGER NOT NULL, started REAL NOT NULL, boot TEXT NOT NULL,
+    ended REAL, request TEXT NOT NULL DEFAULT ''
+);
+CREATE TABLE IF NOT EXISTS fleet_axes (
+    fleet_run TEXT NOT NULL REFERENCES fleet_runs(id), axis TEXT NOT NULL,
+    attempt INTEGER NOT NULL, state TEXT NOT NULL, at REAL NOT NULL, serial TEXT, run TEXT,
+    pid INTEGER, started REAL, boot TEXT, confirmed TEXT, outcome TEXT,
+    why TEXT NOT NULL DEFAULT '',
+    PRIMARY KEY (fleet_run, axis, attempt)
+);
+CREATE TABLE IF NOT EXISTS fleet_events (
+    seq INTEGER PRIMARY KEY AUTOINCREMENT, fleet_run TEXT NOT NULL, axis TEXT NOT NULL,
+    attempt INTEGER NOT NULL, at REAL NOT NULL, text TEXT NOT NULL
+);
 """
 TABLE = re.compile(r"CREATE TABLE IF NOT EXISTS (\w+)")
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any, TypedDict
 
-__all__ = ["is_alive", "start", "this_process"]
+__all__ = ["boot", "is_alive", "start", "this_process"]
 
 _SAME = 2.0  # s; a number that was given again is further off
 _LARGEST = 2**31
@@ -24,6 +25,15 @@ class Process(TypedDict):
 def this_process() -> Process:
     """What the present process is known by."""
     return {"pid": os.getpid(), "started": _started(os.getpid())}
+
+
+def boot() -> str:
+    """What tells this start of the computer from others, in which numbers of processes recur."""
+    import psutil
+
+    with contextlib.suppress(OSError):
+        return Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
+    return f"{psutil.boot_time():.0f}"
 
 
 def _started(pid: int) -> float:

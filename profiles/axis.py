@@ -16,7 +16,7 @@ from profiles.errors import ProfileError
 from profiles.strict import Strict
 from profiles.toml_files import load_model
 
-__all__ = ["Axis", "AxisLimits", "Mechanics", "load_axis"]
+__all__ = ["Axis", "AxisLimits", "Mechanics", "axis_name", "load_axis"]
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -69,7 +69,7 @@ class AxisLimits(Strict):
 LONGEST_NAME = 100  # characters
 
 
-def _name(text: str) -> str:
+def axis_name(text: str) -> str:
     """A name as people say it: of any script, in one line."""
     if not text or text != text.strip():
         raise ValueError("must not be empty, nor begin or end with a space")
@@ -85,10 +85,11 @@ class Axis(Strict):
 
     `travel` is the room on either side of the position where the job starts, rad or m.
     `rated_torque` (N.m of the motor), `torque_constant` (N.m/A) and `encoder` (increments per motor
-    revolution) are for drives that do not tell theirs.
+    revolution) are for drives that do not tell theirs. Axes of one `group` can meet, those of one
+    `zone` are behind one emergency stop.
     """
 
-    name: Annotated[str, AfterValidator(_name)] = "axis"
+    name: Annotated[str, AfterValidator(axis_name)] = "axis"
     link: str | None = None
     profile: str | None = None
     travel: Positive | None = None
@@ -99,9 +100,10 @@ class Axis(Strict):
     mechanics: Mechanics = Mechanics()
     limits: AxisLimits = AxisLimits()
     group: str | None = None
+    zone: str | None = None
 
     @property
-    def position_unit(self) -> str:
+    def position_unit(self) -> Literal["rad", "m"]:
         """ASCII unit of position."""
         return "rad" if self.mechanics.motion == "rotary" else "m"
 
@@ -123,7 +125,7 @@ def load_axis(path: Path) -> Axis:
     if "name" in axis.model_fields_set:
         return axis
     try:
-        return axis.model_copy(update={"name": _name(path.stem)})
+        return axis.model_copy(update={"name": axis_name(path.stem)})
     except ValueError as error:
         raise ProfileError(
             f"{path}: the file's name is the axis' name, which {error}; give another in the file: "

@@ -32,6 +32,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "report": ("report", "Write the HTML report of a run."),
     "export": ("export", "Copy a run with its samples and journal to a folder."),
     "history": ("history", "The runs of this computer, newest last."),
+    "fleet": ("fleet", "Many axes: look, run, resume, report."),
     "scan": ("scan", "Which drives are on a bus, and which profile fits."),
     "doctor": ("doctor", "What this machine and a link have, and what is wrong with them."),
     "latency": ("latency", "Round trip, jitter and the fastest cycle of a link."),

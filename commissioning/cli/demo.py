@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,9 +28,14 @@ AXIS = "bench"
 @click.command("demo")
 @click.option("--clock", type=click.Choice(["step", "wall"]), default="step", show_default=True,
               help="Simulated time as fast as it goes, or real time.")  # fmt: skip
+@click.option("--fleet", is_flag=True, help="Eight axes on five buses, interrupted and resumed.")
 @verbose
-def command(clock: str) -> None:
+def command(clock: str, fleet: bool) -> None:
     """Serve the virtual axis 'bench' over Modbus TCP and commission it as a technician would."""
+    if fleet:
+        from commissioning.cli.fleet.demo import run_demo
+
+        sys.exit(run_demo(Screen(None, yes=True)))
     from commissioning.cli import show
     from commissioning.cli.apply import write
     from commissioning.cli.identify import command as identify

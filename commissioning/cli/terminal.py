@@ -139,13 +139,15 @@ class Screen:
             self._progress = progress
             progress.start()
 
-    def table(self, title: str, columns: list[str], rows: list[list[str]]) -> None:
-        """A table."""
+    def table(
+        self, title: str, columns: list[str], rows: list[list[str]], *, of_words: bool = False
+    ) -> None:
+        """A table; `of_words`: and not of numbers."""
         from rich.table import Table
 
         table = Table(title=plain(title), title_justify="left", title_style="bold")
         for n, column in enumerate(columns):
-            justify = "left" if n == 0 else "right"
+            justify = "left" if n == 0 or of_words else "right"
             table.add_column(plain(column), justify=justify, no_wrap=n == 0, overflow="fold")  # type: ignore[arg-type]
         for row in rows:
             table.add_row(*map(plain, row))

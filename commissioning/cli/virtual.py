@@ -110,13 +110,16 @@ def serve_axes(
     """Serve virtual AXES on one bus until Ctrl-C; prints one ready LINK a line.
 
     Several are units behind one Modbus gateway or on one line, nodes on one CAN bus, with one
-    clock: bench?unit=1 bench?unit=2&coulomb=0.2, or node=.
+    clock: bench?unit=1 bench?unit=2&coulomb=0.2, or node=. Or AXIS is a FLEET.toml: twins of all
+    its axes, bus by bus.
     """
     from drivers.virtual.habits import habits_of
     from drivers.virtual.serve import serve
     from drivers.virtual.served import BusOfDrives, Endpoints
     from profiles.library import load_profile
 
+    if len(axes) == 1 and axes[0].endswith(".toml"):
+        sys.exit(128 + _serve_fleet(Path(axes[0]), clock, state))
     endpoints = Endpoints(
         modbus_tcp=_place(modbus_tcp),
         modbus_rtu_tcp=_place(modbus_rtu_tcp),
@@ -148,6 +151,23 @@ def serve_axes(
     key = "unit" if endpoints.is_modbus else "node"
     drives = _told_apart((_served(link, n, state, twin_of) for n, link in enumerate(links)), key)
     sys.exit(128 + serve([BusOfDrives(drives, endpoints, found)], clock, say))
+
+
+def _serve_fleet(path: Path, clock: Literal["wall", "step"], state: Path | None) -> int:
+    """Twins of all axes of a fleet file, on wires like those of the file; a LINK a line."""
+    import tempfile
+
+    from commissioning.fleet.plan import load_fleet
+    from commissioning.fleet.twins import twins_of
+    from drivers.virtual.serve import serve
+
+    if state is not None:
+        raise UsageError(f"--state {state}: the drives of a fleet forget what they store")
+    with tempfile.TemporaryDirectory() as folder:
+        twins = twins_of(load_fleet(path), Path(folder))
+        if not twins.buses:
+            raise UsageError(f"{path}: all its axes are virtual:// already")
+        return serve(twins.buses, clock, say)
 
 
 def _link(axis: str, changes: tuple[str, ...]) -> Link:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from importlib.resources import files
 
-import jinja2
 import markupsafe
 import numpy as np
 
 from commissioning.records import History
 from commissioning.report import figures
 from commissioning.report.quiet import quiet
+from commissioning.report.templates import template
 from commissioning.result import words
 from commissioning.result.codec import printable
 from commissioning.result.document import RunResult
@@ -81,17 +80,8 @@ def _render(result: RunResult, samples: Samples | None, history: History) -> str
     if samples is not None and len(samples) > 1:
         samples.phases = [p._replace(text=plain(p.text)) for p in samples.phases]
         stages = figures.stages(samples)
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-        finalize=_plain,
-    )  # fmt: skip
-    environment.filters |= {"si": _si, "seconds": words.duration, "brief": _brief}
-    environment.tests |= {"search": lambda text, part: part in text}
-    template = environment.from_string(
-        (files("commissioning.report") / "report.html.j2").read_text("utf-8")
-    )
     created = time.strftime("%Y-%m-%d %H:%M", time.localtime(history.run.created))
-    return template.render(
+    return template("report.html.j2").render(
         r=result,
         history=history,
         created=created,
@@ -110,18 +100,3 @@ def _render(result: RunResult, samples: Samples | None, history: History) -> str
         loops=[(loop, words.LOOP_TITLES[loop], result.of_loop(loop)) for loop in LOOPS],
         words=words,
     )
-
-
-def _brief(value: float | None) -> str:
-    """Three digits, or a dash."""
-    return "–" if value is None else f"{value:.3g}"
-
-
-def _plain(value: object) -> object:
-    """Texts of others act on no browser, either."""
-    return plain(value) if type(value) is str else value
-
-
-def _si(value: float | None, unit: str = "") -> str:
-    """Four digits and the unit, or a dash."""
-    return words.number(value, words.unit(unit))

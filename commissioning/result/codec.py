@@ -20,7 +20,17 @@ from commissioning.result.kinds import LONGEST_TEXT
 from profiles.errors import UsageError
 from profiles.plain import plain_tree
 
-__all__ = ["Curves", "decode", "encode", "first_error", "printable", "schema", "text_of"]
+__all__ = [
+    "Curves",
+    "closed",
+    "decode",
+    "encode",
+    "first_error",
+    "printable",
+    "schema",
+    "text_of",
+    "tree_of",
+]
 
 Tree = dict[str, Any]
 Curves = dict[
@@ -42,7 +52,7 @@ def _adapter() -> TypeAdapter[RunResult]:
 
 def encode(result: RunResult) -> Tree:
     """The result as a tree for JSON."""
-    tree: Tree = _plain(result)
+    tree: Tree = tree_of(result)
     for name in _NUMBERS:
         if tree["friction"][name] is None:
             unit = result.units.of_quantity("coulomb" if name == "low_speed" else name)
@@ -55,12 +65,12 @@ def encode(result: RunResult) -> Tree:
     return tree
 
 
-def _plain(value: Any) -> Any:
+def tree_of(value: Any) -> Any:
     """A part of a result as JSON has it."""
     if is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+        return {field.name: tree_of(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, tuple):
-        return [_plain(item) for item in value]
+        return [tree_of(item) for item in value]
     if isinstance(value, BaseModel):
         return value.model_dump()
     return str(value) if isinstance(value, StrEnum) else value
@@ -234,14 +244,19 @@ def _experiment_of_1(old: Tree | None) -> Tree | None:
 # -- the schema -----------------------------------------------------------------------------------
 
 
-def schema() -> Tree:
-    """JSON Schema of what `encode` gives."""
-    tree: Tree = _adapter().json_schema(mode="serialization")
-    kinds = tree["$defs"]
-    for kind in (tree, *kinds.values()):
+def closed(tree: Tree) -> Tree:
+    """A schema by which everything is there, and nothing else."""
+    for kind in (tree, *tree["$defs"].values()):
         if kind.get("type") == "object" and "properties" in kind:
             kind["required"] = list(kind["properties"])
             kind["additionalProperties"] = False
+    return tree
+
+
+def schema() -> Tree:
+    """JSON Schema of what `encode` gives."""
+    tree = closed(_adapter().json_schema(mode="serialization"))
+    kinds = tree["$defs"]
     number = {
         **kinds["Quantity"],
         "description": "Not measured: only its unit is said.",

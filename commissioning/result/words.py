@@ -29,6 +29,7 @@ __all__ = [
     "interval",
     "nothing_proposed",
     "number",
+    "remaining",
     "unit",
     "why_not",
 ]
@@ -91,6 +92,16 @@ def duration(value: float | None) -> str:
     if value is None:
         return "never"
     return f"{value:.2f} s" if value >= 1 else f"{1000 * value:.0f} ms"
+
+
+def remaining(value: float) -> str:
+    """A time that people wait, in whole s, min or h."""
+    seconds = round(value)
+    if seconds < 60:
+        return f"{seconds} s"
+    if seconds < 3600:
+        return f"{seconds // 60} min {seconds % 60:02d} s"
+    return f"{seconds // 3600} h {seconds % 3600 // 60:02d} min"
 
 
 WHY_NOT = {  # of gains that are not proposed, for a column

@@ -27,16 +27,15 @@ from commissioning.rig import preflight
 from commissioning.rig.preflight import check_watchdog, choose_limits, look, writes
 from commissioning.rig.results import Rejected, experiment
 from commissioning.rig.rig import Rig
-from commissioning.runner import Recorder
 from commissioning.runs import RunFolder
 from commissioning.samples import Samples
 from commissioning.settings import Settings
 from drivers.drive import Drive
 from profiles.axis import Axis
-from profiles.errors import TwoRelayError
+from profiles.errors import IdentityMismatch, TwoRelayError
 from profiles.library import source_of
 
-__all__ = ["Failure", "Work", "in_a_run", "noted"]
+__all__ = ["Failure", "Work", "fit", "in_a_run", "noted"]
 
 Work = Callable[[Rig, RunResult], RunResult]
 
@@ -88,18 +87,31 @@ def _run(axis: Axis, options: Options, desk: Desk, drive: Drive, draft: _Draft, 
     desk.tell(drive_line(identity, drive.profile))
     for line in drive.lacking:
         desk.tell(line)
-    none_unfinished(desk, identity.serial, drive.link)
-    look(drive, axis)
-    check_watchdog(drive, without=options.without_watchdog)
-    limits = choose_limits(drive, axis, options)
+    limits = fit(axis, options, desk, drive)
     if options.dry_run:
         draft.result = _dry_run(axis, drive, limits, desk, draft.result)
         return
     desk.agree(_arming_text(axis, limits), axis.name, "nothing was moved or written")
-    look(drive, axis)  # the question may have stood for long
-    none_unfinished(desk, identity.serial, drive.link)
-    limits = choose_limits(drive, axis, options)
+    limits = fit(axis, options, desk, drive)  # the question may have stood for long
     _begun(axis, options, desk, drive, draft, limits, work)
+
+
+def fit(axis: Axis, options: Options, desk: Desk, drive: Drive) -> preflight.Limits:
+    """Whether the connected drive may be moved, by all that reading shows; and within what.
+
+    Raises Refused, LinkError, UsageError.
+    """
+    serial = drive.identity().serial
+    if options.serial is not None and serial != options.serial:
+        raise IdentityMismatch(
+            f"the drive on {drive.link} has serial {serial}, and {options.serial} is meant: "
+            "nothing was moved or written",
+            code="identity.serial",
+        )
+    none_unfinished(desk, serial, drive.link)
+    look(drive, axis)
+    check_watchdog(drive, without=options.without_watchdog)
+    return choose_limits(drive, axis, options)
 
 
 def _begun(
@@ -120,7 +132,7 @@ def _begun(
     folder.save(
         draft.result, profile=profile_text
     )  # so that `restore` knows the drive after a crash
-    recorder = Recorder(on_phase=desk.tell)
+    recorder = desk.record()
     notes: tuple[str, ...] = drive.lacking
     said_by: str | None = None
     try:

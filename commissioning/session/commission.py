@@ -28,10 +28,17 @@ __all__ = ["prove_and_store"]
 Show = Callable[[tuple[Change, ...]], None]
 
 
-def prove_and_store(run: str, desk: Desk, show: Show, *, without_watchdog: bool) -> RunResult:
+def prove_and_store(
+    run: str,
+    desk: Desk,
+    show: Show,
+    *,
+    without_watchdog: bool,
+    proving: Callable[[], None] = lambda: None,
+) -> RunResult:
     """Write what `run` proposes, prove it, and store it once; returns the result.
 
-    `show` gets the proposal.
+    `show` gets the proposal; `proving` is called when it is written, and the proof begins.
 
     Raises
     ------
@@ -48,6 +55,7 @@ def prove_and_store(run: str, desk: Desk, show: Show, *, without_watchdog: bool)
         raise
     try:
         apply(run, None, desk, show, prove_first=True)
+        proving()
         return verify(run, None, desk, Wishes(without_watchdog=without_watchdog), unproved=True)
     except BaseException as error:
         if isinstance(error, Interrupted) and error.noted and _is_proved(run, desk):

@@ -23,7 +23,6 @@ from commissioning.result.worth import Trial, Verification
 from commissioning.rig.armed import noted
 from commissioning.rig.preflight import check_watchdog, choose_limits, look
 from commissioning.rig.rig import Rig
-from commissioning.runner import Recorder
 from commissioning.session.named import axis_of_run, own_run
 from commissioning.session.storing import all_writable, store
 from commissioning.settings import Settings
@@ -104,7 +103,7 @@ def verify(
                 with guarded(
                     drive, axis, folder.profile_path(), run_id, desk.journal.folder
                 ) as guardian:
-                    recorder = Recorder(on_phase=desk.tell)
+                    recorder = desk.record()
                     rig = Rig.of(axis, options, desk, drive, room, recorder, settings, guardian)
                     try:
                         steps, kept = _with_steps(rig, result, unproved=unproved)

@@ -1,0 +1,150 @@
+"""tworelay fleet run FLEET."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from commissioning.cli.options import verbose
+from commissioning.cli.output import document, say
+from commissioning.cli.terminal import Screen, check_json
+from profiles.errors import UsageError
+
+if TYPE_CHECKING:
+    from commissioning.cli.fleet.screen import FleetScreen
+    from commissioning.fleet.plan import Fleet
+    from commissioning.fleet.running import FleetWishes
+    from commissioning.result.fleet import FleetJob, FleetResult
+
+__all__ = ["command", "conducted", "run_options", "write_outputs"]
+
+_NOTHING_STARTED = 3
+
+_OPTIONS = [
+    click.option("--job", type=click.Choice(["identify", "commission", "verify"]),
+                 help="Instead of the file's."),
+    click.option("--only", metavar="EXPR",
+                 help="Names and globs, group=G, zone=Z, with commas; !X leaves X out."),
+    click.option("--at-once", type=click.IntRange(1, 64), metavar="N",
+                 help="Axes at once, at most."),
+    click.option("--junit", metavar="F", help="JUnit XML to F."),
+    click.option("--json", "json_target", metavar="F",
+                 help="tworelay.fleet/1 to F, '-' for standard output."),
+    click.option("--csv", "csv_target", metavar="F", help="A line an axis to F."),
+]  # fmt: skip
+
+
+def run_options(command: Callable[..., None]) -> Callable[..., None]:
+    """The options of a run and of its rehearsal."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+@click.command("run")
+@click.argument("fleet", type=click.Path(path_type=Path))
+@run_options
+@click.option("--resume", is_flag=False, flag_value="last", metavar="[ID]",
+              help="Go on with a run that was left: what was not started.")  # fmt: skip
+@click.option("--again", multiple=True, metavar="failed|AXIS", help="A new attempt at these.")
+@click.option("--dry-run", is_flag=True, help="Show every write; write and move nothing.")
+@click.option("--yes", is_flag=True, help="Confirm in advance.")
+@verbose
+def command(
+    fleet: Path,
+    job: FleetJob | None,
+    only: str | None,
+    at_once: int | None,
+    resume: str | None,
+    again: tuple[str, ...],
+    dry_run: bool,
+    yes: bool,
+    junit: str | None,
+    json_target: str | None,
+    csv_target: str | None,
+) -> None:
+    """Do the job of FLEET: look at all its axes, ask, move each once, say how it went.
+
+    What moves is asked for as the file says. Ctrl-C: what runs is finished, nothing more starts;
+    once more stops it.
+    """
+    from commissioning.cli.fleet.check import looked_at
+    from commissioning.fleet.plan import load_fleet
+    from commissioning.fleet.running import FleetWishes
+
+    for target in (junit, json_target, csv_target):
+        check_json(target)
+    if resume is not None and again:
+        raise UsageError("--resume and --again exclude each other: first the one, then the other")
+    screen = Screen(json_target, yes=False)
+    plan = load_fleet(fleet, job)
+    wanted = FleetWishes(only, at_once, resume, again, yes=yes, terminal=sys.stdin.isatty())
+    if dry_run:
+        sys.exit(looked_at(plan, wanted, screen, json_target, with_writes=True))
+    with conducted(plan, wanted, screen) as result:
+        write_outputs(result, junit, json_target, csv_target)
+    if not any(axis.began for axis in result.axes):
+        sys.exit(_NOTHING_STARTED)
+    sys.exit(result.exit_code)
+
+
+@contextlib.contextmanager
+def conducted(plan: Fleet, wanted: FleetWishes, screen: Screen) -> Generator[FleetResult]:
+    """The run, which has ended; its files are written, and its table is shown.
+
+    A signal that ended it is raised after that.
+    """
+    from commissioning.cli.fleet.screen import FleetScreen, final_table
+    from commissioning.fleet.pages import Pages
+    from commissioning.fleet.running import run
+    from commissioning.interruption import Interruption
+
+    pages = Pages()
+    people = FleetScreen(screen, pages.show)
+
+    def opened(run_id: str) -> None:
+        pages.open(run_id)
+        people.tell(f"fleet run {run_id}: {pages.going}")
+
+    with Interruption() as interruption, interruption.deferred():
+        result = _run(lambda: run(plan, wanted, people, interruption, opened), people)
+        final_table(result, screen)
+        for path in pages.write(result):
+            screen.say(str(path))
+        yield result
+
+
+def _run(act: Callable[[], FleetResult], people: FleetScreen) -> FleetResult:
+    with people.living():
+        return act()
+
+
+def write_outputs(
+    result: FleetResult, junit: str | None, json_target: str | None, csv_target: str | None
+) -> None:
+    """What other programs read; a file that cannot be written is told, and ends nothing."""
+    from commissioning.fleet.outputs import csv_text, junit_text
+    from commissioning.result.fleet_codec import fleet_text
+
+    if json_target == "-":
+        document(fleet_text(result))
+    for option, target, text in (
+        ("--json", json_target, fleet_text),
+        ("--junit", junit, junit_text),
+        ("--csv", csv_target, csv_text),
+    ):
+        if target is None or target == "-":
+            continue
+        try:
+            Path(target).write_text(text(result), "utf-8")
+        except OSError as error:
+            say(
+                f"tworelay: {option} {target}: cannot be written: {error.strerror}; 'tworelay "
+                f"fleet report {result.fleet_run}' keeps the result",
+                err=True,
+            )

@@ -1,0 +1,168 @@
+"""A fleet run on the terminal: its table, as it goes on, and the questions in between."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Generator
+from typing import Any
+
+from commissioning.cli.output import giving_up
+from commissioning.cli.terminal import Screen
+from commissioning.result.fleet import FAILED, FleetAxis, FleetResult, JobState
+from commissioning.result.words import number, remaining
+from profiles.errors import TwoRelayError
+from profiles.plain import plain
+
+__all__ = ["FleetScreen", "final_table", "rows", "summary"]
+
+_STYLES = {
+    JobState.DONE: "green", JobState.STARTED: "bold", JobState.GRANTED: "bold",
+    JobState.BLOCKED: "yellow",
+    **dict.fromkeys(FAILED, "red"),
+}  # fmt: skip
+_COLUMNS = "axis", "state", "step", "friction", "less error", ""
+
+
+def rows(result: FleetResult) -> list[list[str]]:
+    """One row an axis: name, state, step, friction with its interval, gain, what happens."""
+    return [
+        [one.name, str(one.state), _step(one), _friction(one), _gain(one), _what(one)]
+        for one in result.axes
+    ]
+
+
+def _step(one: FleetAxis) -> str:
+    return f"{one.step} of {one.steps}" if one.steps and one.state is JobState.STARTED else ""
+
+
+def _friction(one: FleetAxis) -> str:
+    found = one.outcome.coulomb if one.outcome else None
+    return f"{number(found.value, found.unit)} ± {100 * found.half_width:.2g} %" if found else ""
+
+
+def _gain(one: FleetAxis) -> str:
+    percent = one.outcome.percent if one.outcome else None
+    return "" if percent is None else f"{percent:.0f} %"
+
+
+def _what(one: FleetAxis) -> str:
+    if one.doing:
+        return one.doing
+    return one.why
+
+
+def summary(result: FleetResult) -> str:
+    """How many are in which state, and how long it takes."""
+    counts = [f"{count} {state}" for state in JobState if (count := result.count(state))]
+    left = "" if result.left is None else f"; {remaining(result.left)} left, about"
+    return f"{result.state}: {', '.join(counts)}{left}"
+
+
+class FleetScreen:
+    """Whoever sits at the terminal of a fleet run.
+
+    `watchers` : get every picture of the run, too
+    """
+
+    def __init__(self, screen: Screen, *watchers: Callable[[FleetResult], None]) -> None:
+        self._screen = screen
+        self._watchers = watchers
+        self._live: Any = None
+        self._asking = False
+        self._said: dict[str, str] = {}
+
+    @contextlib.contextmanager
+    def living(self) -> Generator[None]:
+        """With a table that moves, where there is a terminal."""
+        console = self._screen.console()
+        if not console.is_terminal:
+            yield
+            return
+        from rich.live import Live
+
+        with Live(console=console, auto_refresh=False, transient=True) as live:
+            self._live = live
+            try:
+                yield
+            finally:
+                self._live = None
+
+    def tell(self, text: str) -> None:
+        """One line."""
+        if self._live is None:
+            self._screen.say(text)
+            return
+        with giving_up(err=self._screen.to_stderr):
+            self._live.console.print(plain(text), highlight=False, markup=False)
+
+    def show(self, result: FleetResult) -> None:
+        """The run as it is now: a table that moves, or a line for each axis that has ended."""
+        for watcher in self._watchers:
+            watcher(result)
+        if self._live is None:
+            self._say_changes(result)
+        elif not self._asking:
+            with giving_up(err=self._screen.to_stderr):
+                self._live.update(_table(result, whole=False), refresh=True)
+
+    def _say_changes(self, result: FleetResult) -> None:
+        for one in result.axes:
+            if self._said.get(one.name) == one.state:
+                continue
+            is_new = one.name in self._said or one.began is not None
+            self._said[one.name] = str(one.state)
+            if not is_new and one.state is not JobState.REFUSED:
+                continue  # of an earlier part of the run
+            if one.state in (JobState.PLANNED, JobState.WAITING, JobState.GRANTED):
+                continue
+            parts = [_friction(one), _gain(one) and f"{_gain(one)} less error", one.why]
+            self._screen.say(f"{one.name}: {one.state}  {'; '.join(filter(None, parts))}".rstrip())
+
+    def ask(self, text: str, word: str) -> Callable[[], bool | None]:
+        """Ask beside what goes on."""
+        answer: list[bool] = []
+        self._asking = True
+        if self._live is not None:
+            self._live.update("", refresh=True)
+            self._live.stop()
+
+        def wait() -> None:
+            try:
+                answer.append(self._screen.confirm(text, word))
+            except (TwoRelayError, EOFError, OSError, Exception):
+                answer.append(False)
+
+        threading.Thread(target=wait, daemon=True).start()
+
+        def answered() -> bool | None:
+            if not answer:
+                return None
+            if self._asking:
+                self._asking = False
+                if self._live is not None:
+                    self._live.start()
+            return answer[0]
+
+        return answered
+
+
+def _table(result: FleetResult, *, whole: bool) -> Any:
+    """`whole`: what does not fit is folded, not cut."""
+    from rich.table import Table
+
+    table = Table(title=plain(summary(result)), title_justify="left", title_style="bold")
+    for n, column in enumerate(_COLUMNS):
+        is_last = n == len(_COLUMNS) - 1
+        table.add_column(
+            column, no_wrap=not (is_last and whole), overflow="fold" if whole else "ellipsis"
+        )
+    for one, row in zip(result.axes, rows(result), strict=True):
+        table.add_row(*map(plain, row), style=_STYLES.get(one.state))
+    return table
+
+
+def final_table(result: FleetResult, screen: Screen) -> None:
+    """The run as it has ended."""
+    with giving_up(err=screen.to_stderr):
+        screen.console().print(_table(result, whole=True), markup=False)

@@ -1,0 +1,36 @@
+"""tworelay fleet status [ID]."""
+
+from __future__ import annotations
+
+import click
+
+from commissioning.cli.options import verbose
+from commissioning.cli.output import document
+from commissioning.cli.terminal import Screen
+
+__all__ = ["command"]
+
+
+@click.command("status")
+@click.argument("run", required=False, default="last", metavar="[ID]")
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@verbose
+def command(run: str, as_json: bool) -> None:
+    """Where the fleet run ID is, by its ledger (default: the last)."""
+    from commissioning.cli.fleet.screen import final_table
+    from commissioning.ending import tool
+    from commissioning.fleet.ledger import Ledger
+    from commissioning.fleet.view import by_the_ledger
+    from commissioning.result.fleet_codec import fleet_text
+    from drivers.home import home
+
+    with Ledger(home(), reading=True) as ledger:
+        result = by_the_ledger(ledger, run, tool())
+    if as_json:
+        document(fleet_text(result))
+        return
+    screen = Screen(None, yes=True)
+    final_table(result, screen)
+    screen.say(f"fleet run {result.fleet_run} of {result.file}")
+    for note in result.notes:
+        screen.say(note)

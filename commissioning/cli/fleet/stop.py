@@ -1,0 +1,27 @@
+"""tworelay fleet stop [ID]."""
+
+from __future__ import annotations
+
+import click
+
+from commissioning.cli.options import verbose
+from commissioning.cli.terminal import Screen
+
+__all__ = ["command"]
+
+
+@click.command("stop")
+@click.argument("run", required=False, default="last", metavar="[ID]")
+@click.option("--drain", is_flag=True, help="What moves is finished; nothing more starts.")
+@verbose
+def command(run: str, drain: bool) -> None:
+    """End the fleet run ID (default: the last): what moves is stopped, nothing more starts.
+
+    Where its runner is gone, the processes that still move its axes are told.
+    """
+    from commissioning.fleet.stopping import stop_run
+    from drivers.home import home
+
+    screen = Screen(None, yes=True)
+    for line in stop_run(home(), run, drain=drain):
+        screen.say(line)

@@ -1,0 +1,178 @@
+"""Where every axis of a fleet run is: in memory, and before that in the ledger."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from commissioning.errors import JournalError
+from commissioning.fleet.ledger import Ledger, LedgerRow
+from commissioning.fleet.messages import Looked
+from commissioning.fleet.plan import Fleet, PlannedAxis
+from commissioning.fleet.view import iso, view
+from commissioning.result.document import Tool
+from commissioning.result.fleet import (
+    Confirmed,
+    FleetAxis,
+    FleetResult,
+    FleetState,
+    JobState,
+    Outcome,
+)
+
+__all__ = ["Board", "Standing"]
+
+
+@dataclass
+class Standing:
+    """One axis of the run, as it stands.
+
+    Attributes
+    ----------
+    began, ended : of the present attempt, s since 1970
+    since : s of the monotonic clock, when it was granted
+    moving_at : s of the monotonic clock, when it was last seen in motion, enabled
+    late : share of its cycles that came late, of late
+    """
+
+    planned: PlannedAxis
+    attempt: int
+    state: JobState
+    serial: str | None = None
+    looked: Looked | None = None
+    confirmed: Confirmed | None = None
+    confirmed_until: float = 0.0
+    step: int = 0
+    steps: int = 0
+    doing: str = ""
+    why: str = ""
+    began: float | None = None
+    ended: float | None = None
+    since: float = 0.0
+    moving_at: float = 0.0
+    late: float = 0.0
+    outcome: Outcome | None = None
+
+    @property
+    def name(self) -> str:
+        """Of the axis."""
+        return self.planned.name
+
+    @property
+    def is_under_way(self) -> bool:
+        """Whether a process has it."""
+        return self.state in (JobState.GRANTED, JobState.STARTED)
+
+
+class Board:
+    """All axes of a run.
+
+    Attributes
+    ----------
+    failure : why the ledger takes no more; then nothing more is begun
+    """
+
+    def __init__(self, fleet: Fleet, ledger: Ledger, run: str) -> None:
+        self.fleet = fleet
+        self.run = run
+        self.failure: JournalError | None = None
+        self._ledger = ledger
+        rows = ledger.rows(run)
+        self._all = {
+            one.name: _standing(one, rows[one.name]) for one in fleet.axes if one.name in rows
+        }
+
+    def __iter__(self) -> Iterator[Standing]:
+        return iter(self._all.values())
+
+    def __getitem__(self, name: str) -> Standing:
+        return self._all[name]
+
+    def of(self, *states: JobState) -> list[Standing]:
+        """Those that are in one of these states."""
+        return [one for one in self._all.values() if one.state in states]
+
+    def move(
+        self, one: Standing, new: JobState, why: str = "", given: Sequence[JobState] = ()
+    ) -> None:
+        """A transition, in the ledger first; a ledger that fails is kept as the `failure`."""
+        try:
+            self._ledger.move(self.run, one.name, one.attempt, new, why=why, given=given)
+        except JournalError as error:
+            self.failure = self.failure or error
+        one.state, one.why = new, why
+
+    def grant(self, one: Standing) -> bool:
+        """Let it be started, once; False: it must not."""
+        assert one.confirmed is not None
+        try:
+            granted = self._ledger.grant(
+                self.run, one.name, one.attempt, one.confirmed, one.serial or ""
+            )
+        except JournalError as error:
+            self.failure = self.failure or error
+            return False
+        if granted:
+            one.state = JobState.GRANTED
+            one.began, one.since = time.time(), time.monotonic()
+            one.moving_at = one.late = 0.0
+        return granted
+
+    def revoke(self, one: Standing, why: str) -> None:
+        """Take a grant back; where it was started, the ledger knows how it stands."""
+        try:
+            if not self._ledger.revoke(self.run, one.name, one.attempt, why):
+                self._learn(one, why)
+                return
+        except JournalError as error:
+            self.failure = self.failure or error
+            self._ended(one, JobState.UNKNOWN, why)
+            return
+        self._ended(one, JobState.REVOKED, why)
+
+    def _learn(self, one: Standing, why: str) -> None:
+        """How an axis stands whose process is gone, by the ledger."""
+        row = self._ledger.rows(self.run)[one.name]
+        if row.state is JobState.STARTED:
+            self.move(one, JobState.UNKNOWN, why)
+            self._ended(one, JobState.UNKNOWN, why)
+            return
+        one.outcome = row.outcome
+        self._ended(one, row.state, row.why)
+
+    def end(self, one: Standing, state: JobState, outcome: Outcome) -> None:
+        """A job has ended; its own process has kept that, if it could."""
+        why = outcome.error.text if outcome.error else ""
+        try:
+            self._ledger.end(self.run, one.name, one.attempt, state, outcome, why)
+        except JournalError as error:
+            self.failure = self.failure or error
+        one.outcome = outcome
+        self._ended(one, state, why)
+
+    @staticmethod
+    def _ended(one: Standing, state: JobState, why: str) -> None:
+        one.state, one.why, one.ended = state, why, time.time()
+
+    def view(self, state: FleetState, tool: Tool | None, left: float | None) -> FleetResult:
+        """The run as it is now."""
+        record = self._ledger.record(self.run)
+        axes = [_shown(one) for one in self]
+        return view(record, axes, state, tool, left, rehearsed=self.fleet.rehearsed)
+
+
+def _standing(planned: PlannedAxis, row: LedgerRow) -> Standing:
+    return Standing(
+        planned, row.attempt, row.state, row.serial, confirmed=row.confirmed, why=row.why,
+        outcome=row.outcome,
+    )  # fmt: skip
+
+
+def _shown(one: Standing) -> FleetAxis:
+    planned, outcome = one.planned, one.outcome
+    return FleetAxis(
+        one.name, one.state, one.attempt, planned.link, planned.group, planned.zone, one.serial,
+        one.step, one.steps, one.doing if one.is_under_way else "", one.why, one.confirmed,
+        iso(one.began), iso(one.ended), outcome,
+    )  # fmt: skip

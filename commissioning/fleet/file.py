@@ -1,0 +1,116 @@
+"""A fleet file: which axes, in which groups and zones, and what is asked of them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from commissioning.result.fleet import FleetJob
+from commissioning.result.readings import MethodName
+from profiles.axis import axis_name
+from profiles.strict import Strict
+
+__all__ = ["MOST_AXES", "AxisEntry", "FleetFile", "Group", "Keys", "Zone"]
+
+MOST_AXES = 1000
+Positive = Annotated[float, Field(gt=0)]
+Name = Annotated[str, AfterValidator(axis_name)]
+
+
+class Zone(Strict):
+    """Axes behind one emergency stop; `at_once`: how many of them may be under way."""
+
+    at_once: Annotated[int, Field(ge=1)] | None = None
+
+
+class Group(Strict):
+    """Axes that can meet: one at a time, and one that fails stops the others, or not."""
+
+    zone: str | None = None
+    on_failure: Literal["stop-group", "go-on"] = "stop-group"
+
+
+class Gateway(Strict):
+    """Another computer that owns the bus of some axes."""
+
+    address: str
+
+
+class Keys(Strict):
+    """What an axis file or an option of the job may say, of one axis or of all."""
+
+    profile: str | None = None
+    travel: Positive | None = None
+    cycle: Positive | None = None
+    rated_torque: Positive | None = None
+    torque_constant: Positive | None = None
+    encoder: Positive | None = None
+    mechanics: dict[str, Any] = {}
+    limits: dict[str, Any] = {}
+    group: str | None = None
+    zone: str | None = None
+    gateway: str | None = None
+    twin: str | None = None  # virtual axis that stands for it in a rehearsal
+    fraction: Annotated[float, Field(ge=0, le=1)] | None = None
+    method: MethodName | None = None
+    solver: Literal["bracket", "thesis"] | None = None
+    repeat: Annotated[int, Field(ge=1, le=50)] | None = None
+    points: bool | None = None
+    output_filter: Positive | None = None
+    max_torque: Positive | None = None
+    max_speed: Positive | None = None
+    duration: Positive | None = None
+    watchdog: Annotated[float, Field(ge=0.005, le=5)] | None = None
+    without_watchdog: bool | None = None
+
+
+OF_THE_JOB = (
+    "fraction", "method", "solver", "repeat", "points", "output_filter", "max_torque", "max_speed",
+    "duration", "without_watchdog",
+)  # fmt: skip
+
+
+class AxisEntry(Keys):
+    """One axis, or all that a glob finds.
+
+    `serial`: which drive it is, or "none" where the drive tells no serial number
+    """
+
+    file: str | None = None
+    name: Name | None = None
+    link: str | None = None
+    serial: str | None = None
+    after: list[str] = []
+
+    @property
+    def is_glob(self) -> bool:
+        """Whether its file is several."""
+        return self.file is not None and any(letter in self.file for letter in "*?[")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.file is None and self.link is None:
+            raise ValueError("an axis needs a file, or a link and a name")
+        if self.file is None and self.name is None:
+            raise ValueError("an axis without a file needs a name")
+        alone = [key for key in ("serial", "name", "after", "link") if getattr(self, key)]
+        if self.is_glob and alone:
+            raise ValueError(
+                f"file = '{self.file}' is several axes, which cannot share a {alone[0]}: name that "
+                "axis in an entry of its own"
+            )
+        return self
+
+
+class FleetFile(Strict):
+    """A fleet file as it is written."""
+
+    name: Name | None = None
+    job: FleetJob
+    confirm: Literal["each", "group", "yes"] = "group"
+    defaults: Keys = Keys()
+    zones: dict[str, Zone] = {}
+    groups: dict[str, Group] = {}
+    gateways: dict[str, Gateway] = {}
+    axes: Annotated[list[AxisEntry], Field(min_length=1, max_length=MOST_AXES)]

@@ -1,0 +1,334 @@
+"""The ledger of fleet runs, in the journal's file: each transition is kept before the act.
+
+An axis moves at most once a grant. The runner grants; the process that will move it turns `granted`
+into `started` before it opens the link; whoever takes over turns `granted` into `revoked` first. Of
+the two, one changes the row, and the other lets the axis be.
+"""
+
+from __future__ import annotations
+
+import platform
+import sqlite3
+import time
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from commissioning.errors import JournalError
+from commissioning.journal_file import open_to_read, open_to_write, prepare, slug, unwritable
+from commissioning.processes import boot, is_alive, this_process
+from commissioning.result.fleet import ENDED, Confirmed, FleetState, JobState, Outcome
+from commissioning.result.fleet_codec import json_of, of_json
+from profiles.errors import UnknownName
+
+__all__ = ["FleetRecord", "Ledger", "LedgerRow"]
+
+_RUNS_A_SECOND = 100
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRecord:
+    """One fleet run, as it was begun.
+
+    Attributes
+    ----------
+    created, ended : s since 1970
+    definition : of the fleet file, as JSON
+    request : what `fleet stop` asks of the runner: '', 'drain' or 'stop'
+    """
+
+    id: str
+    created: float
+    name: str
+    file: str
+    job: str
+    definition: str
+    state: FleetState
+    host: str
+    operator: str
+    pid: int
+    started: float
+    boot: str
+    ended: float | None
+    request: str
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether its runner runs."""
+        return self.boot == boot() and is_alive(self.pid, self.started)
+
+
+@dataclass(frozen=True, slots=True)
+class LedgerRow:
+    """The last attempt at one axis; `at`: of its last transition, s since 1970."""
+
+    axis: str
+    attempt: int
+    state: JobState
+    at: float
+    serial: str | None = None
+    run: str | None = None
+    pid: int | None = None
+    started: float | None = None
+    boot: str | None = None
+    confirmed: Confirmed | None = None
+    outcome: Outcome | None = None
+    why: str = ""
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the process that moves the axis runs."""
+        return self.boot == boot() and is_alive(self.pid, self.started)
+
+
+class Ledger:
+    """The fleet runs of this computer; raises JournalError when they cannot be read or written."""
+
+    def __init__(self, folder: Path, *, reading: bool = False) -> None:
+        self.folder = folder
+        path = folder / "journal.sqlite"
+        with ExitStack() as stack:
+            try:
+                if reading:
+                    self._db = open_to_read(path, stack)
+                else:
+                    self._db = open_to_write(path)
+            except (OSError, sqlite3.Error) as error:
+                raise JournalError(unwritable(folder, error)) from None
+            stack.callback(self._db.close)
+            with self._errors():
+                self._db.row_factory = sqlite3.LedgerRow
+                if not reading:
+                    prepare(self._db)
+            self._clean_up = stack.pop_all()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._clean_up.close()
+
+    def __enter__(self) -> Ledger:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    @contextmanager
+    def _errors(self) -> Generator[None]:
+        try:
+            yield
+        except (sqlite3.Error, OverflowError, ValueError) as error:
+            with suppress(sqlite3.Error):
+                if self._db.in_transaction:
+                    self._db.execute("ROLLBACK")
+            raise JournalError(unwritable(self.folder, error)) from None
+
+    @contextmanager
+    def _change(self) -> Generator[sqlite3.Connection]:
+        """All of it or nothing, on the disk when this returns."""
+        with self._errors():
+            self._db.execute("BEGIN IMMEDIATE")
+            yield self._db
+            self._db.execute("COMMIT")
+
+    # -- fleet runs ------------------------------------------------------------------------------
+
+    def begin(
+        self, name: str, file: Path, job: str, definition: str, operator: str, axes: Sequence[str]
+    ) -> str:
+        """Open a fleet run with all its axes planned; returns its id."""
+        now = time.time()
+        stamp = time.strftime("%Y%m%d-%H%M%S", time.localtime(now))
+        me = this_process()
+        for n in range(_RUNS_A_SECOND):
+            run = f"{stamp}-fleet-{slug(name)}" + (f"-{n}" if n else "")
+            with self._change() as db:
+                taken = db.execute("SELECT 1 FROM fleet_runs WHERE id=?", (run,)).fetchone()
+                if taken is not None:
+                    continue
+                db.execute(
+                    "INSERT INTO fleet_runs(id, created, name, file, job, definition, state, host, "
+                    "operator, pid, started, boot) VALUES (?,?,?,?,?,?,?,?,?,?,?,?)",
+                    (
+                        run, now, name, str(file), job, definition, FleetState.CHECKING,
+                        platform.node(), operator, me["pid"], me["started"], boot(),
+                    ),
+                )  # fmt: skip
+                db.executemany(
+                    "INSERT INTO fleet_axes(fleet_run, axis, attempt, state, at) VALUES "
+                    "(?,?,1,?,?)",
+                    [(run, axis, JobState.PLANNED, now) for axis in axes],
+                )
+            return run
+        raise JournalError("no free id of a fleet run within this second")
+
+    def take_over(self, run: str, operator: str) -> None:
+        """The runner of `run` is the present process, from now on."""
+        me = this_process()
+        with self._change() as db:
+            db.execute(
+                "UPDATE fleet_runs SET pid=?, started=?, boot=?, operator=?, state=?, ended=NULL, "
+                "request='' WHERE id=?",
+                (me["pid"], me["started"], boot(), operator, FleetState.CHECKING, run),
+            )
+            self._tell(db, run, "", 0, f"taken over by process {me['pid']} ({operator})")
+
+    def set_state(self, run: str, state: FleetState) -> None:
+        """Where the fleet run is now."""
+        over = state in (FleetState.FINISHED, FleetState.STOPPED)
+        with self._change() as db:
+            db.execute(
+                "UPDATE fleet_runs SET state=?, ended=? WHERE id=?",
+                (state, time.time() if over else None, run),
+            )
+            self._tell(db, run, "", 0, str(state))
+
+    def ask(self, run: str, request: str) -> None:
+        """Ask the runner of `run` for something."""
+        with self._change() as db:
+            db.execute("UPDATE fleet_runs SET request=? WHERE id=?", (request, run))
+            self._tell(db, run, "", 0, f"asked to {request}")
+
+    def request(self, run: str) -> str:
+        """What somebody asks of this runner."""
+        with self._errors():
+            row = self._db.execute("SELECT request FROM fleet_runs WHERE id=?", (run,)).fetchone()
+        return str(row["request"]) if row else ""
+
+    def record(self, run: str, name: str | None = None) -> FleetRecord:
+        """A fleet run by its id, or the `last` (of the fleet `name`); raises UnknownName."""
+        with self._errors():
+            if run == "last":
+                row = self._db.execute(
+                    "SELECT * FROM fleet_runs WHERE ? IS NULL OR name=? ORDER BY rowid DESC "
+                    "LIMIT 1", (name, name),
+                ).fetchone()  # fmt: skip
+            else:
+                row = self._db.execute("SELECT * FROM fleet_runs WHERE id=?", (run,)).fetchone()
+            if row is None:
+                recent = self._db.execute("SELECT id FROM fleet_runs ORDER BY rowid DESC LIMIT 5")
+                raise UnknownName("fleet run", run, [found["id"] for found in recent])
+            return FleetRecord(**{**dict(row), "state": FleetState(row["state"])})
+
+    # -- axes ------------------------------------------------------------------------------------
+
+    def rows(self, run: str) -> dict[str, LedgerRow]:
+        """The last attempt at each axis, in the order of the file."""
+        with self._errors():
+            found = self._db.execute(
+                "SELECT * FROM fleet_axes WHERE fleet_run=? ORDER BY attempt, rowid", (run,)
+            ).fetchall()
+            rows: dict[str, LedgerRow] = {}
+            for row in found:
+                rows[row["axis"]] = _row(dict(row))
+        return rows
+
+    def move(
+        self,
+        run: str,
+        axis: str,
+        attempt: int,
+        new: JobState,
+        *,
+        why: str = "",
+        given: Sequence[JobState] = (),
+        also: Mapping[str, str | float | None] | None = None,
+    ) -> bool:
+        """One transition of one axis; whether the row was in a state `given`, and so is changed.
+
+        Without `given` from any state that is no ending. `also`: other columns that it sets.
+        """
+        columns = also or {}
+        allowed = given or [state for state in JobState if state not in ENDED]
+        marks = ",".join("?" * len(allowed))
+        sets = "".join(f", {column}=?" for column in columns)
+        with self._change() as db:
+            changed = db.execute(
+                f"UPDATE fleet_axes SET state=?, at=?, why=?{sets} WHERE fleet_run=? AND axis=? "  # noqa: S608
+                f"AND attempt=? AND state IN ({marks})",
+                (new, time.time(), why, *columns.values(), run, axis, attempt, *allowed),
+            ).rowcount
+            if changed:
+                self._tell(db, run, axis, attempt, f"{new}: {why}" if why else str(new))
+        return changed == 1
+
+    def grant(self, run: str, axis: str, attempt: int, confirmed: Confirmed, serial: str) -> bool:
+        """Let one process, once, move this axis."""
+        return self.move(
+            run, axis, attempt, JobState.GRANTED,
+            given=(JobState.PLANNED, JobState.WAITING),
+            also={"confirmed": json_of(confirmed), "serial": serial},
+        )  # fmt: skip
+
+    def start(self, run: str, axis: str, attempt: int) -> bool:
+        """By the process that is to move the axis, before it opens the link; False: it must not."""
+        me: dict[str, float] = {**this_process()}  # type: ignore[dict-item]
+        return self.move(
+            run, axis, attempt, JobState.STARTED,
+            given=(JobState.GRANTED,), also={**me, "boot": boot()},
+        )  # fmt: skip
+
+    def revoke(self, run: str, axis: str, attempt: int, why: str) -> bool:
+        """Take a grant back; False: it was started already, or never given."""
+        return self.move(run, axis, attempt, JobState.REVOKED, why=why, given=(JobState.GRANTED,))
+
+    def end(
+        self, run: str, axis: str, attempt: int, state: JobState, outcome: Outcome, why: str
+    ) -> bool:
+        """How a job that was started has ended."""
+        return self.move(
+            run, axis, attempt, state, why=why, given=(JobState.STARTED,),
+            also={"run": outcome.run, "outcome": json_of(outcome)},
+        )  # fmt: skip
+
+    def attempts(self, run: str) -> list[LedgerRow]:
+        """Every attempt at every axis, in the order in which they came."""
+        with self._errors():
+            found = self._db.execute(
+                "SELECT * FROM fleet_axes WHERE fleet_run=? ORDER BY rowid", (run,)
+            ).fetchall()
+            return [_row(dict(row)) for row in found]
+
+    def again(self, run: str, attempts: Mapping[str, int]) -> None:
+        """A new attempt at each of these axes, after the one that is given."""
+        now = time.time()
+        with self._change() as db:
+            db.executemany(
+                "INSERT INTO fleet_axes(fleet_run, axis, attempt, state, at) VALUES (?,?,?,?,?)",
+                [(run, axis, n + 1, JobState.PLANNED, now) for axis, n in attempts.items()],
+            )
+            for axis, n in attempts.items():
+                self._tell(db, run, axis, n + 1, "planned again")
+
+    def note(self, run: str, text: str, axis: str = "", attempt: int = 0) -> None:
+        """Something that happened to a fleet run, or to no run ('')."""
+        with self._change() as db:
+            self._tell(db, run, axis, attempt, text)
+
+    def events(self, run: str) -> list[tuple[float, str, int, str]]:
+        """All that happened: s since 1970, axis, attempt, text."""
+        with self._errors():
+            rows = self._db.execute(
+                "SELECT at, axis, attempt, text FROM fleet_events WHERE fleet_run=? ORDER BY seq",
+                (run,),
+            ).fetchall()
+        return [(row["at"], row["axis"], row["attempt"], row["text"]) for row in rows]
+
+    @staticmethod
+    def _tell(db: sqlite3.Connection, run: str, axis: str, attempt: int, text: str) -> None:
+        db.execute(
+            "INSERT INTO fleet_events(fleet_run, axis, attempt, at, text) VALUES (?,?,?,?,?)",
+            (run, axis, attempt, time.time(), text),
+        )
+
+
+def _row(row: dict[str, Any]) -> LedgerRow:
+    """A row as it must be; raises ValueError."""
+    row.pop("fleet_run")
+    row["state"] = JobState(row["state"])
+    if row["confirmed"] is not None:
+        row["confirmed"] = of_json(row["confirmed"], Confirmed)
+    if row["outcome"] is not None:
+        row["outcome"] = of_json(row["outcome"], Outcome)
+    return LedgerRow(**row)

@@ -1,0 +1,130 @@
+"""The look at all axes before anything moves: which drives are there, and may they be moved."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+from commissioning.ending import error_of
+from commissioning.fleet.crew import Crew
+from commissioning.fleet.messages import Looked, Order
+from commissioning.fleet.plan import Fleet, PlannedAxis
+from commissioning.fleet.schedule import Rules, Task, startable
+from commissioning.fleet.serials import misplaced
+from commissioning.result.endings import Error
+from commissioning.result.fleet import JobState
+
+__all__ = ["Seen", "judged", "look_at_all", "rules_of", "task_of"]
+
+_WAIT = 0.1  # s
+_BLOCKED = "run.cut-off", "run.in-progress"  # an unfinished journal
+_OF_EXIT_CODE = {4: JobState.LINK, 7: JobState.WRITE_INCOMPLETE, 1: JobState.UNKNOWN}
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What the look at one axis came to: what it has shown, or why it must not be moved."""
+
+    looked: Looked | None = None
+    error: Error | None = None
+    state: JobState = JobState.WAITING
+
+
+def rules_of(fleet: Fleet, at_once: int | None) -> Rules:
+    """How many at once on this computer: all its processors, but for one in real time."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    cores = cores or 1
+    zones = {name: zone.at_once for name, zone in fleet.zones.items() if zone.at_once is not None}
+    return Rules(at_once or max(1, cores - 1), at_once or cores, zones)
+
+
+def task_of(axis: PlannedAxis, seconds: float) -> Task:
+    """An axis as the schedule sees it."""
+    return Task(
+        axis.name, axis.bus, axis.group or "", axis.zone or "", axis.after, seconds,
+        axis.is_stepping,
+    )  # fmt: skip
+
+
+def order_of(fleet: Fleet, axis: PlannedAxis, act: str, run: str, attempt: int) -> Order:
+    """What a worker gets to hear of an axis."""
+    assert axis.axis is not None
+    return Order(
+        "look" if act == "look" else "job", run, axis.name, attempt, fleet.job,
+        axis.axis.model_dump_json(), axis.options,
+    )  # fmt: skip
+
+
+def look_at_all(
+    fleet: Fleet,
+    axes: Iterable[PlannedAxis],
+    crew: Crew,
+    rules: Rules,
+    tell: Callable[[str, Seen], None],
+    check: Callable[[], None],
+) -> dict[str, Seen]:
+    """Look at each axis, those on one bus one after the other.
+
+    `tell` gets each as it comes; `check` raises where it is to end.
+    """
+    seen: dict[str, Seen] = {}
+
+    def take(name: str, found: Seen) -> None:
+        seen[name] = found
+        tell(name, found)
+
+    waiting: dict[str, tuple[Task, PlannedAxis]] = {}
+    for axis in axes:
+        if axis.broken is not None:
+            take(axis.name, Seen(error=error_of(axis.broken), state=JobState.REFUSED))
+        else:
+            # groups and zones are for motion: a look needs the bus alone
+            task = Task(axis.name, axis.bus, stepping=axis.is_stepping)
+            waiting[axis.name] = (task, axis)
+    running: dict[str, Task] = {}
+    while waiting or running:
+        check()
+        tasks = [task for task, _ in waiting.values()]
+        for task in startable(tasks, list(running.values()), (), rules):
+            _, axis = waiting.pop(task.name)
+            running[task.name] = task
+            crew.order(order_of(fleet, axis, "look", "", 0), anew=False)
+        heard = crew.hear(_WAIT)
+        if heard is None:
+            continue
+        worker, report = heard
+        name = worker.busy
+        if report is None:
+            crew.buried(worker)
+            if name in running:
+                del running[name]
+                take(name, _lost())
+        elif report.kind in ("looked", "ended") and name in running:
+            del running[name]
+            crew.take_back(worker)
+            take(name, _seen(report.looked, report.error, report.exit_code))
+    return seen
+
+
+def _lost() -> Seen:
+    text = "the process that looked at it ended without a word: its log says why"
+    return Seen(error=Error("internal", text), state=JobState.REFUSED)
+
+
+def _seen(looked: Looked | None, error: Error | None, exit_code: int) -> Seen:
+    if error is None:
+        return Seen(looked)
+    if error.code in _BLOCKED:
+        return Seen(error=error, state=JobState.BLOCKED)
+    return Seen(error=error, state=_OF_EXIT_CODE.get(exit_code, JobState.REFUSED))
+
+
+def judged(seen: Mapping[str, Seen], pinned: Mapping[str, str]) -> dict[str, Seen]:
+    """What was seen, with each drive held to the axis that it belongs to."""
+    found = {name: one.looked.serial for name, one in seen.items() if one.looked is not None}
+    wrong = misplaced(found, pinned)
+    return {
+        name: Seen(one.looked, error_of(wrong[name]), JobState.REFUSED) if name in wrong else one
+        for name, one in seen.items()
+    }

@@ -1,0 +1,324 @@
+"""A fleet file with its axis files: what is to be done to which axis."""
+
+from __future__ import annotations
+
+import glob
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+from commissioning.desk import Options
+from commissioning.fleet.file import MOST_AXES, OF_THE_JOB, AxisEntry, FleetFile, Group, Keys, Zone
+from commissioning.result.fleet import FleetJob
+from drivers.link import axis_of
+from drivers.link_text import parse
+from drivers.places import buses, same_place
+from profiles.axis import Axis, load_axis
+from profiles.errors import ProfileError, TwoRelayError, UnknownName, UsageError
+from profiles.toml_files import load_model, validated
+
+__all__ = ["Fleet", "PlannedAxis", "differences", "load_fleet"]
+
+_OF_A_LINE = "baudrate", "parity", "stopbits", "bitrate", "clock"
+_NO_AXIS = "file", "serial", "after", "gateway", "twin", "watchdog", *OF_THE_JOB
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedAxis:
+    """One axis of the fleet.
+
+    Attributes
+    ----------
+    axis, options : what is asked of it; the axis is None where its file is broken
+    bus : a name of the bus that it is on; '': one of its own, in this computer's memory
+    serial : which drive it has to be, as the file says; None: as it was pinned
+    broken : why it cannot be tried
+    """
+
+    name: str
+    axis: Axis | None
+    options: Options
+    group: str | None = None
+    zone: str | None = None
+    after: tuple[str, ...] = ()
+    serial: str | None = None
+    gateway: str | None = None
+    twin: str | None = None
+    bus: str = ""
+    broken: TwoRelayError | None = None
+
+    @property
+    def link(self) -> str:
+        """Where its drive is; '' where that is not known."""
+        return (self.axis and self.axis.link) or ""
+
+    @property
+    def is_stepping(self) -> bool:
+        """Whether its time is simulated."""
+        link = parse(self.link) if self.link else None
+        return link is not None and (link.scheme == "virtual" or link.is_stepping)
+
+
+@dataclass(frozen=True, slots=True)
+class Fleet:
+    """A fleet file that is in order; `rehearsed`: its drives are twins."""
+
+    path: Path
+    name: str
+    job: FleetJob
+    confirm: str
+    axes: tuple[PlannedAxis, ...]
+    zones: Mapping[str, Zone]
+    groups: Mapping[str, Group]
+    rehearsed: bool = False
+
+    def axis(self, name: str) -> PlannedAxis:
+        """By its name; raises UnknownName."""
+        for one in self.axes:
+            if one.name == name:
+                return one
+        raise UnknownName("axis of the fleet", name, [one.name for one in self.axes])
+
+    @property
+    def definition(self) -> dict[str, Any]:
+        """All that it asks for, as JSON has it: two are alike where they ask for the same."""
+        axes = {}
+        for one in self.axes:
+            said = json.loads(one.axis.model_dump_json(exclude_unset=True)) if one.axis else {}
+            options = {f.name: getattr(one.options, f.name) for f in fields(one.options)}
+            others = {
+                "group": one.group, "zone": one.zone, "after": list(one.after),
+                "serial": one.serial,
+            }  # fmt: skip
+            merged = (*options.items(), *said.items(), *others.items())
+            axes[one.name] = {k: v for k, v in merged if v not in (None, False, [], {})}
+        return {
+            "name": self.name, "job": self.job, "confirm": self.confirm,
+            "groups": {name: one.model_dump() for name, one in self.groups.items()},
+            "zones": {name: one.model_dump() for name, one in self.zones.items()},
+            "axes": axes,
+            "rehearsed": self.rehearsed,
+        }  # fmt: skip
+
+
+def differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
+    """What two definitions differ in, one line each."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in dict.fromkeys((*old, *new)):
+            inside = f"{where}.{key}".lstrip(".")
+            if key not in new:
+                yield f"{inside} is gone"
+            elif key not in old:
+                yield f"{inside} is new"
+            else:
+                yield from differences(old[key], new[key], inside)
+    elif old != new:
+        yield f"{where} is {new!r}, was {old!r}"
+
+
+def load_fleet(path: Path, job: FleetJob | None = None) -> Fleet:
+    """Read a fleet file and its axis files; `job`: instead of the one that it asks for.
+
+    An axis file that is broken is kept for the axis; the fleet file itself, and what contradicts
+    itself in it, raise UsageError.
+    """
+    file = load_model(path, FleetFile)
+    found = [one for n, entry in enumerate(file.axes, 1) for one in _entries(path, file, entry, n)]
+    if len(found) > MOST_AXES:
+        raise UsageError(f"{path}: has {len(found)} axes: must have {MOST_AXES} at most")
+    axes = _with_buses(found)
+    _check_names(path, axes)
+    _check_order(path, axes)
+    _check_places(path, axes)
+    return Fleet(
+        path, file.name or path.stem, job or file.job, file.confirm, axes, file.zones, file.groups
+    )
+
+
+def _entries(path: Path, file: FleetFile, entry: AxisEntry, number: int) -> Iterator[PlannedAxis]:
+    """The axes of one entry."""
+    if entry.file is None:
+        yield _planned(path, file, entry, None, number)
+        return
+    if not entry.is_glob:
+        yield _planned(path, file, entry, path.parent / entry.file, number)
+        return
+    matches = sorted(glob.glob(entry.file, root_dir=path.parent))  # noqa: PTH207  Path's takes no absolute one
+    if not matches:
+        raise UsageError(
+            f"{path}: [[axes]] number {number}: no file matches '{entry.file}' in "
+            f"{path.parent.resolve()}"
+        )
+    for match in matches:
+        yield _planned(path, file, entry, path.parent / match, number)
+
+
+def _planned(
+    path: Path, file: FleetFile, entry: AxisEntry, axis_file: Path | None, number: int
+) -> PlannedAxis:
+    """One axis: its file, what the entry says above it, the defaults below it."""
+    name = entry.name or (axis_file.stem if axis_file else "")
+    where = f"{path}: [[axes]] number {number} ({name})"
+    try:
+        of_file = load_axis(axis_file) if axis_file else Axis(name=name)
+    except ProfileError as error:
+        group, zone = _place(file, where, entry.group, entry.zone)
+        return PlannedAxis(
+            name, None, Options(), group, zone, tuple(entry.after), entry.serial, broken=error
+        )
+    name = entry.name or of_file.name
+    said = of_file.model_dump(exclude_unset=True)
+    for key in ("group", "zone"):
+        mine, its = getattr(entry, key), said.get(key)
+        if mine and its and mine != its:
+            raise UsageError(f"{where}: {key} is '{mine}', and '{its}' in {axis_file}")
+    link = entry.link or of_file.link
+    known = axis_of(link).model_dump(exclude_unset=True) if link and _is_virtual(link) else {}
+    tree = _over(_over(_over(known, _said(file.defaults)), said), _said(entry))
+    tree["name"] = name
+    group, zone = _place(file, where, tree.get("group"), tree.get("zone"))
+    if entry.gateway is not None and entry.gateway not in file.gateways:
+        raise UnknownName(f"gateway in {path}", entry.gateway, list(file.gateways))
+    own = {key: value for key, value in tree.items() if key not in _NO_AXIS}
+    if tree.get("watchdog") is not None:
+        own["limits"] = {**own.get("limits", {}), "watchdog": tree["watchdog"]}
+    axis = validated(own, Axis, where)
+    if axis.link is None:
+        broken = UsageError(f'{where}: has no link; add link = "modbus-tcp://…"')
+        return PlannedAxis(name, None, Options(), group, zone, tuple(entry.after), broken=broken)
+    options = {key: tree[key] for key in OF_THE_JOB if tree.get(key) is not None}
+    if "method" in options:
+        options["method"] = str(options["method"])
+    axis = axis.model_copy(update={"profile": _beside(path, axis.profile)})
+    return PlannedAxis(
+        name, axis, Options(**options), group, zone, tuple(entry.after), entry.serial,
+        tree.get("gateway"), tree.get("twin"),
+    )  # fmt: skip
+
+
+def _is_virtual(link: str) -> bool:
+    return parse(link).scheme == "virtual"
+
+
+def _said(keys: Keys) -> dict[str, Any]:
+    """What stands in the file, and is no default of ours."""
+    return keys.model_dump(exclude_unset=True)
+
+
+def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """What the upper says, else the lower; sections key by key."""
+    merged = dict(below)
+    for key, value in above.items():
+        under = merged.get(key)
+        merged[key] = _over(under, value) if isinstance(under, dict) else value
+    return merged
+
+
+def _beside(path: Path, profile: str | None) -> str | None:
+    """A profile that is a file is looked for beside the fleet file, too."""
+    if profile is None or not profile.endswith(".toml"):
+        return profile
+    beside = path.parent / profile
+    return str(beside) if beside.exists() else profile
+
+
+def _place(
+    file: FleetFile, where: str, group: str | None, zone: str | None
+) -> tuple[str | None, str | None]:
+    """Group and zone, which are declared, and agree; raises UsageError."""
+    if group is not None and group not in file.groups:
+        raise UsageError(
+            f"{where}: the group '{group}' is declared nowhere; there are: "
+            f"{', '.join(file.groups) or 'none'} (declare it: [groups.{group}])"
+        )
+    of_group = file.groups[group].zone if group is not None else None
+    if zone and of_group and zone != of_group:
+        raise UsageError(
+            f"{where}: is in zone '{zone}', and its group '{group}' is in zone '{of_group}'"
+        )
+    zone = zone or of_group
+    if zone is not None and zone not in file.zones:
+        raise UsageError(
+            f"{where}: the zone '{zone}' is declared nowhere; there are: "
+            f"{', '.join(file.zones) or 'none'} (declare it: [zones.{zone}])"
+        )
+    return group, zone
+
+
+def _check_names(path: Path, axes: Sequence[PlannedAxis]) -> None:
+    seen: dict[str, str] = {}
+    for one in axes:
+        before = seen.setdefault(one.name.casefold(), one.name)
+        if sum(other.name.casefold() == one.name.casefold() for other in axes) > 1:
+            raise UsageError(
+                f"{path}: the axis '{before}' is named twice: an axis is in a fleet once, "
+                'and two files of one name want name = "…"'
+            )
+
+
+def _check_order(path: Path, axes: Sequence[PlannedAxis]) -> None:
+    """`after` names axes of the fleet, and leads nowhere in a circle."""
+    after = {one.name: one.after for one in axes}
+    for one in axes:
+        for name in one.after:
+            if name not in after:
+                raise UnknownName(f"axis of {path}, after which '{one.name}' is to run", name,
+                                  list(after))  # fmt: skip
+    done: set[str] = set()
+
+    def visit(name: str, way: tuple[str, ...]) -> None:
+        if name in way:
+            circle = [*way[way.index(name) :], name]
+            raise UsageError(f"{path}: 'after' leads in a circle: {' after '.join(circle)}")
+        if name not in done:
+            for before in after[name]:
+                visit(before, (*way, name))
+            done.add(name)
+
+    for one in axes:
+        visit(one.name, ())
+
+
+def _check_places(path: Path, axes: Sequence[PlannedAxis]) -> None:
+    """Each drive once, and one setting of each line."""
+    here: dict[str, list[PlannedAxis]] = {}
+    for one in axes:
+        here.setdefault(one.bus or one.link, []).append(one)
+    for on_bus in here.values():
+        first, *others = on_bus
+        for n, one in enumerate(others, 1):
+            if not one.link:
+                continue
+            for other in on_bus[:n]:
+                if same_place(one.link, other.link):
+                    raise UsageError(
+                        f"{path}: '{other.name}' and '{one.name}' are one drive ({one.link})"
+                    )
+            mine, its = parse(one.link).options, parse(first.link).options
+            for key in _OF_A_LINE:
+                if mine.get(key) != its.get(key):
+                    raise UsageError(
+                        f"{path}: '{first.name}' and '{one.name}' are on one bus, and say "
+                        f"{key}={its.get(key, 'nothing')} and {key}={mine.get(key, 'nothing')}"
+                    )
+
+
+def _with_buses(axes: Sequence[PlannedAxis]) -> tuple[PlannedAxis, ...]:
+    """The axes with one name of their bus each: what shares one of its names is one bus."""
+    named: list[tuple[set[str], list[int]]] = []
+    for n, one in enumerate(axes):
+        names = set(buses(one.link)) if one.link else set()
+        if not names:
+            continue
+        mine, its = names, [n]
+        others = []
+        for known, members in named:
+            if known & names:
+                mine, its = mine | known, [*members, *its]
+            else:
+                others.append((known, members))
+        named = [*others, (mine, its)]
+    bus_of = {n: min(names) for names, members in named for n in members}
+    return tuple(replace(one, bus=bus_of.get(n, "")) for n, one in enumerate(axes))

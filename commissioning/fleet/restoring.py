@@ -1,0 +1,70 @@
+"""Putting back what a fleet run has left: what was cut off, or all that was written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from commissioning.fleet.ledger import Ledger, LedgerRow
+from commissioning.journal import Journal, RunRecord
+from commissioning.processes import is_alive
+from commissioning.result.fleet import JobState
+from drivers.places import same_place
+from profiles.errors import UnknownName
+
+__all__ = ["Left", "left_by"]
+
+_CUT_OFF = JobState.UNKNOWN, JobState.STARTED
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """A run of the journal that has left something in the drive of an axis."""
+
+    axis: str
+    run: str
+
+
+def left_by(
+    ledger: Ledger, journal: Journal, run: str, axes: Sequence[str], *, everything: bool
+) -> list[Left]:
+    """The runs to be restored, the last first.
+
+    Parameters
+    ----------
+    axes : of these, all that was written; none: of every axis what was cut off
+    everything : of every axis all that was written
+    """
+    record = ledger.record(run)
+    attempts = ledger.attempts(record.id)
+    known = list(dict.fromkeys(row.axis for row in attempts))
+    for name in axes:
+        if name not in known:
+            raise UnknownName(f"axis of fleet run {record.id}", name, known)
+    own = journal.runs()
+    found: dict[str, Left] = {}
+    for row in reversed(attempts):
+        if axes and row.axis not in axes:
+            continue
+        for one in _runs_of(row, own, journal):
+            whole = everything or bool(axes) or row.state in _CUT_OFF
+            intents = journal.intents(one, open_only=True)
+            if any(whole or not intent.lasts for intent in intents):
+                found.setdefault(one, Left(row.axis, one))
+    return list(found.values())
+
+
+def _runs_of(row: LedgerRow, own: Sequence[RunRecord], journal: Journal) -> list[str]:
+    """Of an attempt, by its outcome or its process; and what was cut off on its drive."""
+    found = [row.run] if row.run else []
+    for one in reversed(own):
+        of_process = (
+            row.pid is not None and one.context.pid == row.pid and one.serial == row.serial
+            and one.context.started == row.started
+        )  # fmt: skip
+        if of_process and not is_alive(one.context.pid, one.context.started):
+            found.append(one.id)
+    if row.serial:
+        link = next((one.link for one in reversed(own) if one.serial == row.serial), "")
+        found += journal.unfinished(row.serial, lambda other: same_place(other, link))
+    return list(dict.fromkeys(found))

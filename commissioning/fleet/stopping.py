@@ -1,0 +1,71 @@
+"""How a fleet run is ended from outside."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from commissioning.fleet.ledger import Ledger, LedgerRow
+from commissioning.result.fleet import FleetState, JobState
+from drivers.errors import LinkError
+
+__all__ = ["stop_run"]
+
+_PATIENCE, _LOOK = 15.0, 0.2  # s
+_OVER = FleetState.FINISHED, FleetState.STOPPED
+
+
+def stop_run(folder: Path, run: str, *, drain: bool) -> Iterator[str]:
+    """End a run, and wait until nothing of it moves; says how that goes.
+
+    Raises LinkError where something still does after a while.
+    """
+    with Ledger(folder) as ledger:
+        record = ledger.record(run)
+        if record.state not in _OVER and record.is_alive:
+            ledger.ask(record.id, "drain" if drain else "stop")
+            yield f"fleet run {record.id}: its runner (process {record.pid}) is told"
+            if drain:
+                return
+        else:
+            yield f"fleet run {record.id}: {record.state}; no runner is under way"
+            for row in _moving(ledger, record.id):
+                yield f"'{row.axis}': its process {row.pid} is told to stop"
+                _interrupt(row)
+        until = time.monotonic() + _PATIENCE
+        while left := _moving(ledger, record.id):
+            if time.monotonic() > until:
+                names = ", ".join(row.axis for row in left)
+                raise LinkError(
+                    f"still under way: {names}",
+                    code="stop.not-verified",
+                    hint="'tworelay stop AXIS' stops each, whoever moves it",
+                )
+            time.sleep(_LOOK)
+        for row in ledger.rows(record.id).values():
+            if row.state is JobState.STARTED:
+                yield (
+                    f"'{row.axis}': was started, and its process is gone: 'tworelay stop' makes it "
+                    "safe, 'tworelay fleet restore' puts its settings back"
+                )
+        yield "nothing of it moves"
+
+
+def _moving(ledger: Ledger, run: str) -> list[LedgerRow]:
+    return [
+        row for row in ledger.rows(run).values()
+        if row.state is JobState.STARTED and row.is_alive
+    ]  # fmt: skip
+
+
+def _interrupt(row: LedgerRow) -> None:
+    """As a Ctrl-C, to a process that the ledger knows to be the one that moves the axis."""
+    assert row.pid is not None
+    if sys.platform == "win32":
+        os.kill(row.pid, signal.CTRL_BREAK_EVENT)
+    else:
+        os.kill(row.pid, signal.SIGINT)

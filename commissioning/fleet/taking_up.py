@@ -1,0 +1,171 @@
+"""How a fleet run begins, and how one that was left is taken up: resumed, or done again in part."""
+
+from __future__ import annotations
+
+import contextlib
+import fnmatch
+import json
+from collections.abc import Generator, Sequence
+
+from commissioning.ending import operator
+from commissioning.fleet.ledger import Ledger, LedgerRow
+from commissioning.fleet.plan import Fleet, PlannedAxis, differences
+from commissioning.locks import Taken, take
+from commissioning.result.fleet import FAILED, MAY_RESUME, JobState
+from profiles.errors import Refused, UnknownName, UsageError
+
+__all__ = ["again", "begin", "chosen", "only_runner", "resume", "settle_the_dead"]
+
+_DIFFERENCES = 3  # shown
+
+
+def chosen(fleet: Fleet, only: str | None) -> tuple[str, ...]:
+    """The axes that an EXPR names: names and globs, group=G, zone=Z, after a comma; ! excludes.
+
+    Raises UsageError where a part of it names none.
+    """
+    everything = tuple(one.name for one in fleet.axes)
+    if only is None:
+        return everything
+    parts = [part.strip() for part in only.split(",") if part.strip()]
+    wanted = [part for part in parts if not part.startswith("!")]
+    taken = set(everything) if not wanted else set()
+    for part in wanted:
+        taken |= _named(fleet, part)
+    for part in parts:
+        if part.startswith("!"):
+            taken -= _named(fleet, part[1:])
+    if not taken:
+        raise UsageError(f"--only {only}: leaves no axis")
+    return tuple(name for name in everything if name in taken)
+
+
+def _named(fleet: Fleet, part: str) -> set[str]:
+    key, mark, value = part.partition("=")
+    if mark and key in ("group", "zone"):
+        found = {one.name for one in fleet.axes if _of(one, key) == value}
+        known = sorted({of for one in fleet.axes if (of := _of(one, key))})
+    else:
+        found = {one.name for one in fleet.axes if fnmatch.fnmatchcase(one.name, part)}
+        known = [one.name for one in fleet.axes]
+    if not found:
+        raise UnknownName(f"{key if mark else 'axis'} of the fleet", value if mark else part, known)
+    return found
+
+
+def _of(axis: PlannedAxis, key: str) -> str | None:
+    found: str | None = getattr(axis, key)
+    return found
+
+
+def begin(fleet: Fleet, ledger: Ledger, names: Sequence[str]) -> str:
+    """A new fleet run of these axes; returns its id."""
+    run = ledger.begin(
+        fleet.name, fleet.path.resolve(), fleet.job, json.dumps(fleet.definition),
+        operator() or "", [one.name for one in fleet.axes],
+    )  # fmt: skip
+    for one in fleet.axes:
+        if one.name not in names:
+            ledger.move(run, one.name, 1, JobState.SKIPPED, why="not asked for (--only)")
+    return run
+
+
+@contextlib.contextmanager
+def only_runner(run: str) -> Generator[None]:
+    """The one runner of a fleet run, on this machine; raises Refused."""
+    try:
+        lock = take(f"fleet-{run}", f"fleet run {run}")
+    except Taken as taken:
+        raise Refused(
+            f"fleet run {run} is under way ({taken.owner})",
+            code="run.in-progress",
+            hint="'tworelay fleet status' shows it, 'tworelay fleet stop' ends it",
+        ) from None
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def resume(fleet: Fleet, ledger: Ledger, run: str, names: Sequence[str]) -> tuple[str, ...]:
+    """Take up a run that was left: its axes that were never started; returns which.
+
+    Raises Refused where the fleet file has changed since, or an axis of it is still under way.
+    """
+    rows = _taken_over(fleet, ledger, run)
+    left = [name for name, row in rows.items() if name in names and row.state in MAY_RESUME]
+    revoked = {n: rows[n].attempt for n in left if rows[n].state is JobState.REVOKED}
+    ledger.again(run, revoked)  # a process that still comes for the first one finds it revoked
+    for name in left:
+        if name not in revoked:
+            ledger.move(
+                run, name, rows[name].attempt, JobState.PLANNED, given=tuple(MAY_RESUME),
+                why="resumed",
+            )  # fmt: skip
+    return tuple(left)
+
+
+def again(
+    fleet: Fleet, ledger: Ledger, run: str, which: Sequence[str], names: Sequence[str]
+) -> tuple[str, ...]:
+    """A new attempt at axes that have ended, by name, or 'failed' ones; returns which."""
+    known = [one.name for one in fleet.axes]
+    for name in which:
+        if name != "failed" and name not in known:
+            raise UnknownName("axis of the fleet", name, [*known, "failed"])
+    rows = _taken_over(fleet, ledger, run)
+    wanted = [
+        name
+        for name, row in rows.items()
+        if name in names and (name in which or ("failed" in which and row.state in FAILED))
+    ]
+    waiting = [name for name in wanted if rows[name].state in MAY_RESUME]
+    if waiting:
+        raise Refused(
+            f"'{waiting[0]}' has not been started in fleet run {run} (it is "
+            f"{rows[waiting[0]].state}): there is nothing to do again",
+            code="fleet.not-started",
+            hint="--resume goes on with those that were not started",
+        )
+    ledger.again(run, {name: rows[name].attempt for name in wanted})
+    return tuple(wanted)
+
+
+def _taken_over(fleet: Fleet, ledger: Ledger, run: str) -> dict[str, LedgerRow]:
+    """The rows of a run that this process runs from now on, what was granted revoked."""
+    record = ledger.record(run)
+    changed = list(differences(json.loads(record.definition), fleet.definition))
+    if changed:
+        more = f" (and {len(changed) - _DIFFERENCES} more)" if changed[_DIFFERENCES:] else ""
+        raise Refused(
+            f"{fleet.path} has changed since fleet run {run} began: "
+            f"{'; '.join(changed[:_DIFFERENCES])}{more}",
+            code="refused.changed",
+            hint="put it back, or begin a new run",
+        )
+    settle_the_dead(ledger, run)
+    ledger.take_over(run, operator() or "")
+    return ledger.rows(run)
+
+
+def settle_the_dead(ledger: Ledger, run: str) -> None:
+    """Revoke what nobody has started; what was started and has no process any more is unknown.
+
+    Raises Refused where one still has.
+    """
+    for name, row in ledger.rows(run).items():
+        if row.state is JobState.GRANTED and ledger.revoke(run, name, row.attempt, "taken over"):
+            continue
+        row = ledger.rows(run)[name]  # noqa: PLW2901  it may have started just now
+        if row.state is not JobState.STARTED:
+            continue
+        if row.is_alive:
+            raise Refused(
+                f"axis '{name}' of fleet run {run} is still under way (process {row.pid})",
+                code="run.in-progress",
+                hint="wait for it, or 'tworelay fleet stop'",
+            )
+        ledger.move(
+            run, name, row.attempt, JobState.UNKNOWN, given=(JobState.STARTED,),
+            why="it was started, and its process is gone",
+        )  # fmt: skip

@@ -1,0 +1,121 @@
+"""Virtual twins of the axes of a fleet, on wires and buses like those of its file, on loopback."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from commissioning.fleet.plan import Fleet, PlannedAxis
+from drivers.link_text import Link, parse
+from drivers.virtual.axes import VirtualAxis, configured
+from drivers.virtual.memory import Memory
+from drivers.virtual.served import FIRST_NODE, BusOfDrives, Endpoints, ServedDrive
+from profiles.errors import UsageError
+from profiles.library import load_profile
+from profiles.schema import Profile
+from profiles.transports import transport_of
+
+__all__ = ["Twins", "on_twins", "twins_of"]
+
+_ANY = ("127.0.0.1", 0)
+_HEAVY = 0.1, 2e-3, 1e-3  # Coulomb and viscous friction, inertia, of the rated torque
+
+
+@dataclass(frozen=True, slots=True)
+class Twins:
+    """Buses to be served, and which axis the drives of each are, in the order of the links."""
+
+    buses: Sequence[BusOfDrives]
+    names: Sequence[str]
+
+
+def twins_of(fleet: Fleet, folder: Path) -> Twins:
+    """Twins of all axes that are on a bus; `folder`: of their memories. Raises UsageError.
+
+    Axes on virtual:// are virtual already, and are left as they are.
+    """
+    by_bus: dict[str, list[PlannedAxis]] = {}
+    for one in fleet.axes:
+        if one.broken is not None:
+            raise one.broken
+        if one.bus:
+            by_bus.setdefault(one.bus, []).append(one)
+    buses, names = [], []
+    for axes in by_bus.values():
+        drives = [_twin(one, fleet.axes.index(one), folder) for one in axes]
+        buses.append(BusOfDrives(drives, _endpoints(parse(axes[0].link))))
+        names += [one.name for one in axes]
+    return Twins(buses, names)
+
+
+def _endpoints(link: Link) -> Endpoints:
+    """The same kind of wire, where this computer has it."""
+    has_terminals = os.name != "nt"
+    if link.scheme == "canopen":
+        if link.interface == "slcan" and has_terminals:
+            return Endpoints(slcan_pty=True)
+        return Endpoints(socketcand=_ANY)
+    if link.scheme == "modbus-rtu" and has_terminals:
+        return Endpoints(modbus_rtu_pty=True)
+    if link.scheme in ("modbus-rtu", "modbus-rtu-tcp"):
+        return Endpoints(modbus_rtu_tcp=_ANY)
+    return Endpoints(modbus_tcp=_ANY)
+
+
+def _twin(one: PlannedAxis, number: int, folder: Path) -> ServedDrive:
+    assert one.axis is not None
+    link = parse(one.link)
+    profile = load_profile(one.axis.profile, lenient=True) if one.axis.profile else None
+    if profile is not None and profile.bus != transport_of(link.scheme).name:
+        raise UsageError(
+            f"axis '{one.name}': profile '{profile.name}' is for {profile.bus}, its link is "
+            f"{link.scheme}://"
+        )
+    own = profile is None or profile.name.startswith("virtual-")
+    defaults = profile.link if profile else None
+    return ServedDrive(
+        _plant(one, number, profile),
+        Memory.at(folder / f"twin-{number}.json"),
+        link.integer("unit", 0, 255) or (defaults and defaults.unit) or 1,
+        link.integer("node", 1, 127) or (defaults and defaults.node) or FIRST_NODE,
+        None if own else profile,
+    )
+
+
+def _plant(one: PlannedAxis, number: int, profile: Profile | None) -> VirtualAxis:
+    """What the twin moves: the axis that the file names for it, or one that suits its motor."""
+    if one.twin is not None:
+        link = parse(f"virtual://{one.twin}")
+        options = {"seed": str(number + 1), **link.options}
+        return configured(link.place.strip("/"), options)
+    axis = one.axis
+    assert axis is not None
+    asked = one.options.max_torque or axis.limits.torque
+    at_motor = asked / axis.mechanics.effort_per_torque if asked else 1.0
+    rated = axis.rated_torque or at_motor
+    coulomb, viscous, inertia = (share * rated for share in _HEAVY)
+    options = {
+        "seed": str(number + 1), "rated": f"{rated:.9g}", "peak": f"{3 * rated:.9g}",
+        "coulomb": f"{coulomb:.9g}", "viscous": f"{viscous:.9g}", "inertia": f"{inertia:.9g}",
+    }  # fmt: skip
+    if axis.encoder is not None:
+        options["encoder"] = f"{axis.encoder:.9g}"
+    if axis.mechanics.held_by == "brake":
+        return configured("vertical", {**options, "load": f"{rated / 10:.9g}"})
+    return configured("bench", options)
+
+
+def on_twins(fleet: Fleet, twins: Twins, links: Sequence[str]) -> Fleet:
+    """The fleet with the links of its twins."""
+    at = dict(zip(twins.names, links, strict=True))
+    axes = []
+    for one in fleet.axes:
+        assert one.axis is not None
+        serial = one.serial if one.serial == "none" else None
+        axis = one.axis
+        if one.name in at:
+            axis = axis.model_copy(update={"link": at[one.name]})
+        axes.append(replace(one, axis=axis, serial=serial, gateway=None))
+    return replace(fleet, axes=tuple(axes), rehearsed=True)

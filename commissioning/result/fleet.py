@@ -1,0 +1,214 @@
+"""What a fleet run is and has come to, typed: the ledger keeps it, screens and files show it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import ClassVar, Literal
+
+from pydantic import ConfigDict
+
+from commissioning.result.changes import Change
+from commissioning.result.document import Tool
+from commissioning.result.endings import Error
+from commissioning.result.found import Quantity
+from commissioning.result.kinds import Count, Finite, Text
+
+__all__ = [
+    "ENDED",
+    "FAILED",
+    "FLEET_SCHEMA",
+    "MAY_RESUME",
+    "OF_EXIT_CODE",
+    "Confirmed",
+    "FleetAxis",
+    "FleetJob",
+    "FleetResult",
+    "FleetState",
+    "JobState",
+    "Outcome",
+    "Room",
+]
+
+FLEET_SCHEMA: Literal["tworelay.fleet/1"] = "tworelay.fleet/1"
+FleetJob = Literal["identify", "commission", "verify"]
+
+
+class FleetState(StrEnum):
+    """Where a fleet run is."""
+
+    CHECKING = "checking"
+    RUNNING = "running"
+    PAUSED = "paused"
+    FINISHED = "finished"
+    STOPPED = "stopped"
+
+
+class JobState(StrEnum):
+    """Where the job on one axis is; each is in the ledger before the act that it names."""
+
+    PLANNED = "planned"
+    WAITING = "waiting"
+    GRANTED = "granted"
+    STARTED = "started"
+    DONE = "done"
+    NOT_HELPED = "not-helped"
+    REJECTED = "rejected"
+    REFUSED = "refused"
+    FAULT = "fault"
+    LINK = "link"
+    WRITE_INCOMPLETE = "write-incomplete"
+    STOPPED = "stopped"
+    UNKNOWN = "unknown"  # started, and nobody knows how it ended
+    REVOKED = "revoked"  # granted, and taken back before it started
+    BLOCKED = "blocked"
+    SKIPPED = "skipped"
+
+
+FAILED = frozenset(
+    {
+        JobState.NOT_HELPED, JobState.REJECTED, JobState.REFUSED, JobState.FAULT, JobState.LINK,
+        JobState.WRITE_INCOMPLETE, JobState.STOPPED, JobState.UNKNOWN,
+    }
+)  # fmt: skip
+MAY_RESUME = frozenset(
+    {JobState.PLANNED, JobState.WAITING, JobState.BLOCKED, JobState.REVOKED, JobState.SKIPPED}
+)
+ENDED = FAILED | {JobState.DONE, JobState.BLOCKED, JobState.SKIPPED, JobState.REVOKED}
+OF_EXIT_CODE = {
+    0: JobState.DONE, 2: JobState.REFUSED, 3: JobState.REFUSED, 4: JobState.LINK,
+    5: JobState.FAULT, 6: JobState.REJECTED, 7: JobState.WRITE_INCOMPLETE, 8: JobState.NOT_HELPED,
+    130: JobState.STOPPED, 143: JobState.STOPPED, 129: JobState.STOPPED,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """What an axis may use of its travel, torque and speed; half-widths about where it stands.
+
+    Attributes
+    ----------
+    travel, torque, speed : rad or m, N.m or N, rad/s or m/s
+    """
+
+    travel: Finite
+    torque: Finite
+    speed: Finite
+    position_unit: Literal["rad", "m"] = "rad"
+    effort_unit: Text = "N.m"
+
+
+@dataclass(frozen=True, slots=True)
+class Confirmed:
+    """Who let an axis move, and how far.
+
+    Attributes
+    ----------
+    how : a typed word, or in advance: on the command line and in the file
+    """
+
+    by: Text
+    at: Text
+    how: Text
+    room: Room
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a job on one axis came to.
+
+    Attributes
+    ----------
+    run : of the journal; None where none was begun
+    verdict : of the measurement, in words
+    percent : by how much the error after reversals has fallen; None: not proved
+    ending : the line of truth: axis, settings, what is in the drive
+    at_rest : the axis was seen at rest and off, or held by its brake; or was never moved
+    seconds : of the job
+    sha256 : of the run's result file
+    """
+
+    run: Text | None = None
+    profile: Text | None = None
+    verdict: Text | None = None
+    coulomb: Quantity | None = None
+    offset: Quantity | None = None
+    viscous: Quantity | None = None
+    inertia: Quantity | None = None
+    changes: tuple[Change, ...] = ()
+    before: Finite | None = None
+    after: Finite | None = None
+    percent: Finite | None = None
+    ending: Text = ""
+    at_rest: bool = False
+    error: Error | None = None
+    seconds: Finite = 0.0
+    sha256: Text | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FleetAxis:
+    """One axis of a fleet run.
+
+    Attributes
+    ----------
+    step, steps : the step of the job that is under way, from 1, and how many there are
+    doing : what happens in it
+    why : why it is not done, in one line; '' where it is, or is still to be
+    """
+
+    name: Text
+    state: JobState
+    attempt: Count
+    link: Text
+    group: Text | None = None
+    zone: Text | None = None
+    serial: Text | None = None
+    step: Count = 0
+    steps: Count = 0
+    doing: Text = ""
+    why: Text = ""
+    confirmed: Confirmed | None = None
+    began: Text | None = None
+    ended: Text | None = None
+    outcome: Outcome | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FleetResult:
+    """A fleet run as it is now.
+
+    Attributes
+    ----------
+    left : s until all is done, as far as it can be known; None: nothing is under way
+    rehearsed : on twins, not on the drives of the file
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(
+        strict=True, extra="ignore", allow_inf_nan=False
+    )
+
+    schema: Literal["tworelay.fleet/1"]
+    fleet_run: Text
+    name: Text
+    job: FleetJob
+    file: Text
+    state: FleetState
+    tool: Tool | None = None
+    host: Text | None = None
+    operator: Text | None = None
+    began: Text | None = None
+    ended: Text | None = None
+    left: Finite | None = None
+    rehearsed: bool = False
+    axes: tuple[FleetAxis, ...] = ()
+    notes: tuple[Text, ...] = field(default=())
+
+    def count(self, *states: JobState) -> int:
+        """How many axes are in one of these states."""
+        return sum(axis.state in states for axis in self.axes)
+
+    @property
+    def exit_code(self) -> int:
+        """0: all that were to be done are; 9: some are not."""
+        return 0 if self.count(JobState.DONE, JobState.SKIPPED) == len(self.axes) else 9

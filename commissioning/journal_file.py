@@ -55,7 +55,7 @@ CREATE TABLE IF NOT EXISTS fleet_axes (
     fleet_run TEXT NOT NULL REFERENCES fleet_runs(id), axis TEXT NOT NULL,
     attempt INTEGER NOT NULL, state TEXT NOT NULL, at REAL NOT NULL, serial TEXT, run TEXT,
     pid INTEGER, started REAL, boot TEXT, confirmed TEXT, outcome TEXT,
-    why TEXT NOT NULL DEFAULT '',
+    why TEXT NOT NULL DEFAULT '', began REAL,
     PRIMARY KEY (fleet_run, axis, attempt)
 );
 CREATE TABLE IF NOT EXISTS fleet_events (

@@ -13,6 +13,7 @@ from commissioning.fleet.plan import Fleet, PlannedAxis
 from commissioning.fleet.view import iso, view
 from commissioning.result.document import Tool
 from commissioning.result.fleet import (
+    ENDED,
     Confirmed,
     FleetAxis,
     FleetResult,
@@ -98,7 +99,10 @@ class Board:
     ) -> None:
         """A transition, in the ledger first; a ledger that fails is kept as the `failure`."""
         try:
-            self._ledger.move(self.run, one.name, one.attempt, new, why=why, given=given)
+            self._ledger.move(
+                self.run, one.name, one.attempt, new, why=why, given=given,
+                also={"serial": one.serial},
+            )  # fmt: skip
         except JournalError as error:
             self.failure = self.failure or error
         one.state, one.why = new, why
@@ -115,8 +119,7 @@ class Board:
             return False
         if granted:
             one.state = JobState.GRANTED
-            one.began, one.since = time.time(), time.monotonic()
-            one.moving_at = one.late = 0.0
+            one.began, one.moving_at, one.late = time.time(), 0.0, 0.0
         return granted
 
     def revoke(self, one: Standing, why: str) -> None:
@@ -165,7 +168,7 @@ class Board:
 def _standing(planned: PlannedAxis, row: LedgerRow) -> Standing:
     return Standing(
         planned, row.attempt, row.state, row.serial, confirmed=row.confirmed, why=row.why,
-        outcome=row.outcome,
+        began=row.began, ended=row.at if row.state in ENDED else None, outcome=row.outcome,
     )  # fmt: skip
 
 
@@ -173,6 +176,7 @@ def _shown(one: Standing) -> FleetAxis:
     planned, outcome = one.planned, one.outcome
     return FleetAxis(
         one.name, one.state, one.attempt, planned.link, planned.group, planned.zone, one.serial,
-        one.step, one.steps, one.doing if one.is_under_way else "", one.why, one.confirmed,
+        one.step, one.steps, one.doing if one.is_under_way else "", one.why,
+        None if one.began is None else one.confirmed,
         iso(one.began), iso(one.ended), outcome,
     )  # fmt: skip

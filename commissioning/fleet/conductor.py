@@ -63,7 +63,8 @@ class People(Protocol):
 class Conductor:
     """Runs a fleet.
 
-    `in_advance` : how all is confirmed without a question; None: people are asked
+    `in_advance` : how all is confirmed without a question; None: people are asked. `clock`: s,
+    which never goes back.
     """
 
     def __init__(
@@ -77,6 +78,7 @@ class Conductor:
         pins: Pins,
         at_once: int | None = None,
         in_advance: str | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.fleet: Fleet = board.fleet
         self.board = board
@@ -87,6 +89,7 @@ class Conductor:
         self._interruption = interruption
         self._pins = pins
         self._in_advance = in_advance
+        self._clock = clock
         self._rules: Rules = rules_of(self.fleet, at_once)
         self._took: dict[bool, list[float]] = {True: [], False: []}
         self._paused: dict[str, float] = {}  # zone → s of the monotonic clock
@@ -101,6 +104,7 @@ class Conductor:
 
     def run(self, names: Collection[str]) -> FleetResult:
         """Do the job on these axes; returns the run as it ended."""
+        self._people.show(self.result())
         try:
             self._look([one for one in self.board if one.name in names])
         except BaseException:
@@ -131,7 +135,7 @@ class Conductor:
         """The run as it is now."""
         left = None
         if self._left is not None:
-            left = max(0.0, self._left[0] - (time.monotonic() - self._left[1]))
+            left = max(0.0, self._left[0] - (self._clock() - self._left[1]))
         return self.board.view(self.state, tool(), left)
 
     def _go(self, state: FleetState) -> None:
@@ -223,9 +227,9 @@ class Conductor:
             )
             if not first:
                 self._stop_running()
-        if time.monotonic() - self._asked < _ASKED or self.board.failure is not None:
+        if self._clock() - self._asked < _ASKED or self.board.failure is not None:
             return
-        self._asked = time.monotonic()
+        self._asked = self._clock()
         request = self._ledger.request(self.board.run)
         if request and not self.draining:
             self._stop_starting("'tworelay fleet stop' ends this run")
@@ -256,7 +260,7 @@ class Conductor:
                 return
             self._question = None
             self._answered(asked, yes=yes)
-        now = time.monotonic()
+        now = self._clock()
         waiting = self.board.of(JobState.WAITING)
         candidates = [one for one in self._may_start(waiting) if one.confirmed_until < now]
         if not candidates:
@@ -283,11 +287,11 @@ class Conductor:
         assert one.looked is not None
         at = datetime.now().astimezone().isoformat(timespec="seconds")
         one.confirmed = Confirmed(operator() or "unknown", at, how, one.looked.room)
-        one.confirmed_until = time.monotonic() + GOOD_FOR
+        one.confirmed_until = self._clock() + GOOD_FOR
 
     def _show(self) -> None:
-        if time.monotonic() - self._shown >= _SHOWN:
-            self._shown = time.monotonic()
+        if self._clock() - self._shown >= _SHOWN:
+            self._shown = self._clock()
             self._people.show(self.result())
 
     # -- starting --------------------------------------------------------------------------------
@@ -296,10 +300,11 @@ class Conductor:
         if self.board.failure is not None:
             self._stop_starting(f"nothing more starts: {self.board.failure}")
             return
-        now = time.monotonic()
+        now = self._clock()
         confirmed = [o for o in self.board.of(JobState.WAITING) if o.confirmed_until >= now]
         for one in self._may_start(confirmed):
             if self.board.grant(one):
+                one.since = now
                 self._begin(one)
             self._left = self._expected()
 
@@ -312,7 +317,7 @@ class Conductor:
 
     def _expected(self) -> tuple[float, float]:
         """Seconds that are left, and when that was so."""
-        now = time.monotonic()
+        now = self._clock()
         running = {}
         for one in self._running():
             task = self._task(one)
@@ -339,7 +344,7 @@ class Conductor:
             one.doing = report.text
         elif report.kind == "pulse":
             one.late = report.late
-            one.moving_at = time.monotonic() if report.moving else one.moving_at
+            one.moving_at = self._clock() if report.moving else one.moving_at
         elif report.kind == "void":
             self._crew.let_go(worker)
             self._settle(one, report.text)
@@ -359,7 +364,7 @@ class Conductor:
         else:
             self._crew.let_go(worker)
         if state is JobState.DONE:
-            self._took[stepping].append(time.monotonic() - one.since)
+            self._took[stepping].append(self._clock() - one.since)
         self._fell(one)
 
     def _settle(self, one: Standing, why: str) -> None:
@@ -402,7 +407,7 @@ class Conductor:
 
     def _pause(self, zone: str, one: Standing) -> None:
         """It may have been the emergency stop: nothing starts there until somebody says so."""
-        self._paused[zone] = time.monotonic()
+        self._paused[zone] = self._clock()
         self._people.tell(
             f"'{one.name}' was disabled without a fault, as an emergency stop does: zone '{zone}' "
             "is paused"

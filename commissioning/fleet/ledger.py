@@ -62,7 +62,10 @@ class FleetRecord:
 
 @dataclass(frozen=True, slots=True)
 class LedgerRow:
-    """The last attempt at one axis; `at`: of its last transition, s since 1970."""
+    """One attempt at one axis.
+
+    `at`: of its last transition, `began`: of its grant, s since 1970.
+    """
 
     axis: str
     attempt: int
@@ -76,6 +79,7 @@ class LedgerRow:
     confirmed: Confirmed | None = None
     outcome: Outcome | None = None
     why: str = ""
+    began: float | None = None
 
     @property
     def is_alive(self) -> bool:
@@ -99,7 +103,7 @@ class Ledger:
                 raise JournalError(unwritable(folder, error)) from None
             stack.callback(self._db.close)
             with self._errors():
-                self._db.row_factory = sqlite3.LedgerRow
+                self._db.row_factory = sqlite3.Row
                 if not reading:
                     prepare(self._db)
             self._clean_up = stack.pop_all()
@@ -258,7 +262,9 @@ class Ledger:
         return self.move(
             run, axis, attempt, JobState.GRANTED,
             given=(JobState.PLANNED, JobState.WAITING),
-            also={"confirmed": json_of(confirmed), "serial": serial},
+            also={
+                "confirmed": json_of(confirmed), "serial": serial, "began": time.time(),
+            },
         )  # fmt: skip
 
     def start(self, run: str, axis: str, attempt: int) -> bool:

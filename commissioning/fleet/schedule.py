@@ -94,9 +94,9 @@ def _fits(task: Task, running: Sequence[Task], rules: Rules) -> bool:
         in_zone = sum(other.zone == task.zone for other in running)
         if in_zone >= rules.zones.get(task.zone, len(running) + 1):
             return False
-    if task.stepping:
-        return len(running) < rules.stepping
-    return sum(not other.stepping for other in running) < rules.punctual
+    if len(running) >= max(rules.stepping, rules.punctual):
+        return False
+    return task.stepping or sum(not other.stepping for other in running) < rules.punctual
 
 
 def makespan(waiting: Sequence[Task], running: Mapping[Task, float], rules: Rules) -> float:

@@ -69,7 +69,7 @@ def _axis(row: LedgerRow, said: Mapping[str, Any]) -> FleetAxis:
         state, why = JobState.UNKNOWN, _GONE
     return FleetAxis(
         row.axis, state, row.attempt, said.get("link", ""), said.get("group"), said.get("zone"),
-        row.serial or None, why=why, confirmed=row.confirmed,
+        row.serial or None, why=why, confirmed=row.confirmed, began=iso(row.began),
         ended=iso(row.at) if state in ENDED else None, outcome=row.outcome,
     )  # fmt: skip
 

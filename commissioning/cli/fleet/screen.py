@@ -21,6 +21,7 @@ _STYLES = {
     JobState.BLOCKED: "yellow",
     **dict.fromkeys(FAILED, "red"),
 }  # fmt: skip
+_QUIET = JobState.PLANNED, JobState.WAITING, JobState.GRANTED  # told by the table alone
 _COLUMNS = "axis", "state", "step", "friction", "less error", ""
 
 
@@ -107,14 +108,11 @@ class FleetScreen:
                 self._live.update(_table(result, whole=False), refresh=True)
 
     def _say_changes(self, result: FleetResult) -> None:
+        """What has changed since the last picture; the first one is of an earlier part."""
+        now = {one.name: str(one.state) for one in result.axes}
+        before, self._said = self._said or now, now
         for one in result.axes:
-            if self._said.get(one.name) == one.state:
-                continue
-            is_new = one.name in self._said or one.began is not None
-            self._said[one.name] = str(one.state)
-            if not is_new and one.state is not JobState.REFUSED:
-                continue  # of an earlier part of the run
-            if one.state in (JobState.PLANNED, JobState.WAITING, JobState.GRANTED):
+            if before[one.name] == one.state or one.state in _QUIET:
                 continue
             parts = [_friction(one), _gain(one) and f"{_gain(one)} less error", one.why]
             self._screen.say(f"{one.name}: {one.state}  {'; '.join(filter(None, parts))}".rstrip())

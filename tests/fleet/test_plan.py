@@ -1,0 +1,165 @@
+"""A fleet file is in order, or is refused in one line before anything is done."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from commissioning.fleet.plan import Fleet, differences, load_fleet
+from commissioning.fleet.taking_up import chosen
+from profiles.errors import TwoRelayError, UsageError
+from tests.command import in_this_process
+
+AXIS = '[[axes]]\nname = "{0}"\nlink = "virtual://bench?seed={1}"\n'
+TWO = AXIS.format("a", 1) + AXIS.format("b", 2)
+HEAD = 'job = "identify"\nconfirm = "yes"\n'
+
+
+def fleet(folder: Path, text: str, head: str = HEAD) -> Fleet:
+    path = folder / "line.toml"
+    path.write_text(head + text, "utf-8")
+    return load_fleet(path)
+
+
+BAD = {
+    "unknown key": ('jobb = "x"\n' + TWO, "jobb", "did you mean 'job'"),
+    "unknown key of an axis": (TWO + "travle = 1.0\n", "travle", "did you mean 'travel'"),
+    "unknown key of a section": (TWO + "limits = { sped = 1.0 }\n", "sped", "speed"),
+    "unknown default": ("[defaults]\nfracton = 0.5\n" + TWO, "fracton", "fraction"),
+    "no axes": ("", "axes", ""),
+    "an axis twice": (AXIS.format("a", 1) + AXIS.format("a", 2), "'a' is named twice", ""),
+    "twice, but for its capitals": (AXIS.format("a", 1) + AXIS.format("A", 2), "twice", ""),
+    "one drive": (AXIS.format("a", 1) + AXIS.format("b", 1), "'a' and 'b' are one drive", ""),
+    "a circle": (
+        AXIS.format("a", 1) + 'after = ["c"]\n' + AXIS.format("b", 2) + 'after = ["a"]\n'
+        + AXIS.format("c", 3) + 'after = ["b"]\n', "circle", "a after c after b after a",
+    ),
+    "after itself": (AXIS.format("a", 1) + 'after = ["a"]\n', "circle", "a after a"),
+    "after nobody": (TWO + 'after = ["aa"]\n', "'aa'", "did you mean 'a'"),
+    "undeclared group": (TWO + 'group = "gantry"\n', "'gantry' is declared nowhere", "[groups."),
+    "undeclared zone": (TWO + 'zone = "cell"\n', "'cell' is declared nowhere", "[zones."),
+    "zone of a group": (
+        '[zones.z]\n[zones.y]\n[groups.g]\nzone = "z"\n' + TWO + 'group = "g"\nzone = "y"\n',
+        "zone 'y'", "zone 'z'",
+    ),
+    "a glob without a match": ('[[axes]]\nfile = "axes/*.toml"\n', "no file matches", ""),
+    "a glob with a serial": (
+        '[[axes]]\nfile = "axes/*.toml"\nserial = "0x1"\n', "several axes", "serial",
+    ),
+    "a glob with a name": ('[[axes]]\nfile = "*.toml"\nname = "x"\n', "several axes", "name"),
+    "neither file nor link": ('[[axes]]\nname = "x"\n', "needs a file, or a link", ""),
+    "a link without a name": ('[[axes]]\nlink = "virtual://bench"\n', "needs a name", ""),
+    "no such gateway": (TWO + 'gateway = "pc-a"\n', "pc-a", ""),
+    "two baud rates": (
+        ('[[axes]]\nname = "a"\nlink = "modbus-rtu:///dev/ttyUSB0?unit=1&baudrate=9600"\n'
+        '[[axes]]\nname = "b"\nlink = "modbus-rtu:///dev/../dev/ttyUSB0?unit=2&baudrate=19200"\n'),
+        "one bus", "baudrate=9600 and baudrate=19200",
+    ),
+    "a unit in two spellings": (
+        ('[[axes]]\nname = "a"\nlink = "modbus-tcp://127.0.0.1:502?unit=1"\n'
+        '[[axes]]\nname = "b"\nlink = "modbus-tcp://localhost?unit=1"\n'), "one drive", "",
+    ),
+    "no number of repeats": (TWO + "repeat = 0\n", "repeat", "greater than or equal to 1"),
+    "no method": (TWO + 'method = "magic"\n', "method", "auto"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_what_is_wrong_is_said_in_one_line(kind: str, tmp_path: Path) -> None:
+    text, *said = BAD[kind]
+    (tmp_path / "line.toml").write_text(HEAD + text, "utf-8")
+    done = in_this_process("fleet", "run", str(tmp_path / "line.toml"))
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.count("\n") == 1
+    for part in said:
+        assert part in done.stderr
+
+
+def test_links_in_two_spellings_are_one_bus(tmp_path: Path) -> None:
+    found = fleet(
+        tmp_path,
+        '[[axes]]\nname = "a"\nlink = "modbus-tcp://127.0.0.1:502?unit=1"\n'
+        '[[axes]]\nname = "b"\nlink = "modbus-tcp://localhost?unit=2"\n'
+        '[[axes]]\nname = "c"\nlink = "modbus-rtu-tcp://127.0.0.1:0502?unit=3"\n'
+        '[[axes]]\nname = "d"\nlink = "modbus-tcp://127.0.0.1:503?unit=1"\n',
+    )
+    a, b, c, d = (one.bus for one in found.axes)
+    assert a == b == c
+    assert a != d
+
+
+def test_who_says_more_closely_is_right(tmp_path: Path) -> None:
+    """[[axes]] above the axis file above [defaults], section by section."""
+    (tmp_path / "x.toml").write_text(
+        'link = "virtual://bench"\ntravel = 2.0\ncycle = 0.002\n'
+        "[limits]\ntorque = 0.5\nspeed = 9.0\n"
+    )
+    found = fleet(
+        tmp_path,
+        "[defaults]\ntravel = 1.0\ncycle = 0.001\nfraction = 0.7\nrepeat = 3\n"
+        "[defaults.limits]\nspeed = 5.0\nduration = 60.0\n"
+        '[[axes]]\nfile = "x.toml"\ncycle = 0.004\nrepeat = 2\nlimits = { torque = 0.4 }\n',
+    )
+    (one,) = found.axes
+    assert one.axis is not None
+    assert (one.name, one.axis.travel, one.axis.cycle) == ("x", 2.0, 0.004)
+    assert (one.options.fraction, one.options.repeat) == (0.7, 2)
+    limits = one.axis.limits
+    assert (limits.torque, limits.speed, limits.duration) == (0.4, 9.0, 60.0)
+
+
+def test_groups_of_file_and_entry_agree(tmp_path: Path) -> None:
+    (tmp_path / "x.toml").write_text('link = "virtual://bench"\ngroup = "g"\n')
+    entry = '[groups.g]\n[groups.h]\n[[axes]]\nfile = "x.toml"\n'
+    assert fleet(tmp_path, entry).axes[0].group == "g"
+    with pytest.raises(UsageError, match=r"group is 'h', and 'g' in"):
+        fleet(tmp_path, entry + 'group = "h"\n')
+
+
+def test_a_glob_is_sorted_and_named_by_its_files(tmp_path: Path) -> None:
+    for name in ("c", "a", "b"):
+        (tmp_path / f"{name}.axis.toml").write_text(f'link = "virtual://bench?seed={ord(name)}"\n')
+    found = fleet(tmp_path, '[[axes]]\nfile = "*.axis.toml"\ntravel = 1.5\n')
+    assert [one.name for one in found.axes] == ["a.axis", "b.axis", "c.axis"]
+    assert {one.axis and one.axis.travel for one in found.axes} == {1.5}
+
+
+def test_a_broken_axis_file_is_that_axis_alone(tmp_path: Path) -> None:
+    (tmp_path / "x.toml").write_text("link = 3\n")
+    found = fleet(tmp_path, TWO + '[[axes]]\nfile = "x.toml"\n')
+    broken = [one for one in found.axes if one.broken is not None]
+    assert [one.name for one in broken] == ["x"]
+    assert "x.toml" in str(broken[0].broken)
+
+
+@pytest.mark.parametrize(
+    ("only", "names"),
+    [
+        ("a", "a"), ("a,c", "ac"), ("?", "abc"), ("!b", "ac"), ("group=g", "bc"),
+        ("group=g,!c", "b"), ("zone=z", "a"), ("[bc]", "bc"),
+    ],
+)  # fmt: skip
+def test_only_names_globs_groups_and_zones(only: str, names: str, tmp_path: Path) -> None:
+    found = fleet(
+        tmp_path,
+        "[groups.g]\n[zones.z]\n" + AXIS.format("a", 1) + 'zone = "z"\n'
+        + "".join(AXIS.format(name, n) + 'group = "g"\n' for n, name in ((2, "b"), (3, "c"))),
+    )  # fmt: skip
+    assert "".join(chosen(found, only)) == names
+
+
+@pytest.mark.parametrize("only", ["d", "group=h", "zone=y", "a,!a", "!d"])
+def test_only_what_is_there(only: str, tmp_path: Path) -> None:
+    with pytest.raises(TwoRelayError):
+        chosen(fleet(tmp_path, TWO), only)
+
+
+def test_what_has_changed_is_named() -> None:
+    old = {"axes": {"a": {"travel": 1.0, "link": "x"}, "b": {}}, "job": "identify"}
+    new = {"axes": {"a": {"travel": 2.0, "link": "x"}, "c": {}}, "job": "identify"}
+    assert list(differences(old, new)) == [
+        "axes.a.travel is 2.0, was 1.0",
+        "axes.b is gone",
+        "axes.c is new",
+    ]

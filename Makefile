@@ -1,13 +1,14 @@
 # make demo | demo-fleet | test | check | coverage | mutants | platforms | bench | fuzz | faults | faults-long | kills |
-# habits | machine-faults | limits – each sets itself up on a bare machine with Python 3.11
+# habits | machine-faults | fleet-faults | limits – each sets itself up on a bare machine with Python 3.11
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 CASES ?= 12000
 AXES ?= 2000
+PART ?= 1/1
 
-.PHONY: demo demo-fleet test check coverage mutants mutants-afresh platforms bench fuzz faults faults-long habits kills machine-faults limits format lint types imports lock clean
+.PHONY: demo demo-fleet test check coverage mutants mutants-afresh platforms bench fuzz faults faults-long habits kills machine-faults fleet-faults limits format lint types imports lock clean
 
 demo: $(STAMP)
 	$(BIN)/tworelay demo
@@ -75,6 +76,11 @@ habits: $(STAMP)
 # jobs that die at every step of their journal, in five ways; ends with "kills: N cases, M held"
 kills: $(STAMP)
 	$(BIN)/python -m tests.faults.kills
+
+# fleet runs that break at every transition of their ledger, in seven ways, and buses that die; PART=1/2 and
+# 2/2 are halves; ends with "fleet faults: N cases, M held"
+fleet-faults: $(STAMP)
+	$(BIN)/python -m tests.faults.fleet $(PART)
 
 # the machine itself fails in every phase, in simulated time; ends with "machine faults: N cases, M held"
 machine-faults: $(STAMP)

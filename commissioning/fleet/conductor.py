@@ -178,6 +178,8 @@ class Conductor:
             else:
                 self.board.move(one, its.state, its.error.text)
                 self._blocks_its_group(one)
+        for one in self.board.of(JobState.UNKNOWN):  # nobody knows where it stands
+            self._blocks_its_group(one)
 
     # -- what is so ------------------------------------------------------------------------------
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fnmatch
+import hashlib
 import json
 from collections.abc import Generator, Sequence
 
@@ -12,6 +13,7 @@ from commissioning.fleet.ledger import Ledger, LedgerRow
 from commissioning.fleet.plan import Fleet, PlannedAxis, differences
 from commissioning.locks import Taken, take
 from commissioning.result.fleet import FAILED, MAY_RESUME, JobState
+from drivers.home import home
 from profiles.errors import Refused, UnknownName, UsageError
 
 __all__ = ["again", "begin", "chosen", "only_runner", "resume", "settle_the_dead"]
@@ -74,7 +76,8 @@ def begin(fleet: Fleet, ledger: Ledger, names: Sequence[str]) -> str:
 def only_runner(run: str) -> Generator[None]:
     """The one runner of a fleet run, on this machine; raises Refused."""
     try:
-        lock = take(f"fleet-{run}", f"fleet run {run}")
+        name = hashlib.sha256(f"{home().resolve()} {run}".encode()).hexdigest()[:20]
+        lock = take(f"fleet-{name}", f"fleet run {run}")
     except Taken as taken:
         raise Refused(
             f"fleet run {run} is under way ({taken.owner})",

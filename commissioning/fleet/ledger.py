@@ -7,6 +7,7 @@ the two, one changes the row, and the other lets the axis be.
 
 from __future__ import annotations
 
+import json
 import platform
 import sqlite3
 import time
@@ -14,7 +15,7 @@ from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from commissioning.errors import JournalError
 from commissioning.journal_file import open_to_read, open_to_write, prepare, slug, unwritable
@@ -23,9 +24,17 @@ from commissioning.result.fleet import ENDED, Confirmed, FleetState, JobState, O
 from commissioning.result.fleet_codec import json_of, of_json
 from profiles.errors import UnknownName
 
-__all__ = ["FleetRecord", "Ledger", "LedgerRow"]
+__all__ = ["FleetRecord", "Ledger", "LedgerRow", "Place"]
 
 _RUNS_A_SECOND = 100
+
+
+class Place(NamedTuple):
+    """Where an axis is."""
+
+    link: str
+    group: str | None
+    zone: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +62,16 @@ class FleetRecord:
     boot: str
     ended: float | None
     request: str
+
+    def place(self, axis: str) -> Place:
+        """Where an axis is, by the file."""
+        said = json.loads(self.definition)["axes"].get(axis, {})
+        return Place(said.get("link", ""), said.get("group"), said.get("zone"))
+
+    @property
+    def rehearsed(self) -> bool:
+        """Whether its drives were twins."""
+        return bool(json.loads(self.definition).get("rehearsed"))
 
     @property
     def is_alive(self) -> bool:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import datetime
-from typing import Any
 
-from commissioning.fleet.ledger import FleetRecord, Ledger, LedgerRow
+from commissioning.fleet.ledger import FleetRecord, Ledger, LedgerRow, Place
 from commissioning.result.document import Tool
 from commissioning.result.fleet import (
     ENDED,
@@ -50,25 +48,22 @@ def view(
 def by_the_ledger(ledger: Ledger, run: str, tool: Tool | None) -> FleetResult:
     """A fleet run as its ledger has it now; nothing is changed there."""
     record = ledger.record(run)
-    definition: dict[str, Any] = json.loads(record.definition)
-    said = definition["axes"]
-    rehearsed = bool(definition.get("rehearsed"))
-    axes = [_axis(row, said.get(row.axis, {})) for row in ledger.rows(record.id).values()]
+    axes = [_axis(row, record.place(row.axis)) for row in ledger.rows(record.id).values()]
     over = record.state in (FleetState.FINISHED, FleetState.STOPPED)
     notes: tuple[str, ...] = ()
     state = record.state
     if not over and not record.is_alive:
         state = FleetState.STOPPED
         notes = (_ABANDONED,)
-    return view(record, axes, state, tool, notes=notes, rehearsed=rehearsed)
+    return view(record, axes, state, tool, notes=notes, rehearsed=record.rehearsed)
 
 
-def _axis(row: LedgerRow, said: Mapping[str, Any]) -> FleetAxis:
+def _axis(row: LedgerRow, place: Place) -> FleetAxis:
     state, why = row.state, row.why
     if state is JobState.STARTED and not row.is_alive:
         state, why = JobState.UNKNOWN, _GONE
     return FleetAxis(
-        row.axis, state, row.attempt, said.get("link", ""), said.get("group"), said.get("zone"),
+        row.axis, state, row.attempt, place.link, place.group, place.zone,
         row.serial or None, why=why, confirmed=row.confirmed, began=iso(row.began),
         ended=iso(row.at) if state in ENDED else None, outcome=row.outcome,
     )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -66,6 +66,7 @@ def looked_at(
     """Look, and show what there is; returns the exit code."""
     from commissioning.fleet.running import check, expected
     from commissioning.interruption import Interruption
+    from commissioning.result.codec import tree_of
     from commissioning.result.words import remaining
 
     def tell(name: str, found: Seen) -> None:
@@ -86,7 +87,7 @@ def looked_at(
         "was written or moved"
     )
     if json_target is not None:
-        text = json_text({name: _tree(found) for name, found in seen.items()})
+        text = json_text({name: tree_of(found) for name, found in seen.items()})
         if json_target == "-":
             document(text)
         else:
@@ -116,10 +117,3 @@ def _say_writes(name: str, found: Seen, screen: Screen) -> None:
     for line in found.looked.writes:
         screen.say(f"  {line}")
     screen.say("  mode, target torque and controlword, to move the axis")
-
-
-def _tree(found: Seen) -> dict[str, Any]:
-    from commissioning.result.codec import tree_of
-
-    tree: dict[str, Any] = tree_of(found)
-    return tree

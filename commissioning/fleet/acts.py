@@ -142,6 +142,7 @@ def _outcome(
         VERDICTS[result.quality.verdict] if result.quality.verdict else None,
         result.coulomb, found.offset, found.viscous, found.inertia,
         result.compensation,
+        result.units.position,
         None if proved is None else proved.steps[0].reversal_error,
         None if kept is None else kept.reversal_error,
         None if proved is None else proved.percent,

@@ -24,6 +24,8 @@ from commissioning.result.fleet import (
 
 __all__ = ["Board", "Standing"]
 
+_ACTIVE = JobState.PLANNED, JobState.GRANTED, JobState.STARTED  # of which there is to be told
+
 
 @dataclass
 class Standing:
@@ -176,7 +178,7 @@ def _shown(one: Standing) -> FleetAxis:
     planned, outcome = one.planned, one.outcome
     return FleetAxis(
         one.name, one.state, one.attempt, planned.link, planned.group, planned.zone, one.serial,
-        one.step, one.steps, one.doing if one.is_under_way else "", one.why,
+        one.step, one.steps, one.doing if one.state in _ACTIVE else "", one.why,
         None if one.began is None else one.confirmed,
         iso(one.began), iso(one.ended), outcome,
     )  # fmt: skip

@@ -149,9 +149,12 @@ class Conductor:
         """Look at each, hold each drive to its axis, and pin those that are new."""
         chosen = list(standings)
 
-        def tell(name: str, _found: Seen) -> None:
-            self.board[name].doing = ""
+        def tell(name: str, found: Seen) -> None:
+            said = found.looked.identity if found.looked else found.error and found.error.text
+            self.board[name].doing = said or ""
             self._show()
+
+        self._people.tell(f"looking at {len(chosen)} axes")
 
         seen = look_at_all(
             self.fleet, [one.planned for one in chosen], self._crew, self._rules, tell,

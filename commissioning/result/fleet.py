@@ -121,7 +121,8 @@ class Outcome:
     ----------
     run : of the journal; None where none was begun
     verdict : of the measurement, in words
-    percent : by how much the error after reversals has fallen; None: not proved
+    before, after : error after reversals, peak, in `position_unit`; None: not proved
+    percent : by how much it has fallen
     ending : the line of truth: axis, settings, what is in the drive
     at_rest : the axis was seen at rest and off, or held by its brake; or was never moved
     seconds : of the job
@@ -136,6 +137,7 @@ class Outcome:
     viscous: Quantity | None = None
     inertia: Quantity | None = None
     changes: tuple[Change, ...] = ()
+    position_unit: Literal["rad", "m"] = "rad"
     before: Finite | None = None
     after: Finite | None = None
     percent: Finite | None = None
@@ -144,6 +146,11 @@ class Outcome:
     error: Error | None = None
     seconds: Finite = 0.0
     sha256: Text | None = None
+
+    @property
+    def changed(self) -> tuple[Change, ...]:
+        """Parameters that are, or would be, another value than before."""
+        return tuple(one for one in self.changes if one.new_raw != one.old_raw)
 
 
 @dataclass(frozen=True, slots=True)

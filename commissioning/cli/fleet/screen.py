@@ -5,7 +5,10 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable, Generator
+from dataclasses import replace
 from typing import Any
+
+import click
 
 from commissioning.cli.output import giving_up
 from commissioning.cli.terminal import Screen
@@ -22,6 +25,8 @@ _STYLES = {
     **dict.fromkeys(FAILED, "red"),
 }  # fmt: skip
 _QUIET = JobState.PLANNED, JobState.WAITING, JobState.GRANTED  # told by the table alone
+_WIDEST = 30  # characters of a column that is never cut
+_AROUND = 6  # lines of a screen that a table needs beside its rows
 _COLUMNS = "axis", "state", "step", "friction", "less error", ""
 
 
@@ -104,8 +109,9 @@ class FleetScreen:
         if self._live is None:
             self._say_changes(result)
         elif not self._asking:
+            room = self._live.console.height - _AROUND
             with giving_up(err=self._screen.to_stderr):
-                self._live.update(_table(result, whole=False), refresh=True)
+                self._live.update(_table(_most_telling(result, room), result), refresh=True)
 
     def _say_changes(self, result: FleetResult) -> None:
         """What has changed since the last picture; the first one is of an earlier part."""
@@ -128,7 +134,7 @@ class FleetScreen:
         def wait() -> None:
             try:
                 answer.append(self._screen.confirm(text, word))
-            except (TwoRelayError, EOFError, OSError, Exception):
+            except (TwoRelayError, click.exceptions.Abort, OSError):  # nobody typed it
                 answer.append(False)
 
         threading.Thread(target=wait, daemon=True).start()
@@ -145,22 +151,45 @@ class FleetScreen:
         return answered
 
 
-def _table(result: FleetResult, *, whole: bool) -> Any:
-    """`whole`: what does not fit is folded, not cut."""
+def _most_telling(result: FleetResult, room: int) -> FleetResult:
+    """As many axes as there is room for: what is under way, what failed, what is still to come."""
+    if len(result.axes) <= room:
+        return result
+    ranked = sorted(range(len(result.axes)), key=lambda n: _rank(result.axes[n].state))
+    shown = sorted(ranked[: max(room, 1)])
+    return replace(result, axes=tuple(result.axes[n] for n in shown))
+
+
+def _rank(state: JobState) -> int:
+    if state in (JobState.STARTED, JobState.GRANTED):
+        return 0
+    if state in FAILED:
+        return 1
+    return 2 if state in _QUIET else 3
+
+
+def _table(result: FleetResult, run: FleetResult, *, whole: bool = False) -> Any:
+    """Some axes of a run; `whole`: what does not fit is folded, not cut."""
     from rich.table import Table
 
-    table = Table(title=plain(summary(result)), title_justify="left", title_style="bold")
+    left_out = len(run.axes) - len(result.axes)
+    more = f" ({left_out} axes are not shown)" if left_out else ""
+    title = plain(f"{run.name}: {summary(run)}{more}")
+    table = Table(title=title, title_justify="left", title_style="bold")
+    cells = [list(map(plain, row)) for row in rows(result)]
     for n, column in enumerate(_COLUMNS):
         is_last = n == len(_COLUMNS) - 1
+        widest = max((len(row[n]) for row in cells), default=0)
         table.add_column(
-            column, no_wrap=not (is_last and whole), overflow="fold" if whole else "ellipsis"
-        )
-    for one, row in zip(result.axes, rows(result), strict=True):
-        table.add_row(*map(plain, row), style=_STYLES.get(one.state))
+            column, no_wrap=not (is_last and whole), overflow="fold" if whole else "ellipsis",
+            min_width=None if is_last else min(max(widest, len(column)), _WIDEST),
+        )  # fmt: skip
+    for one, row in zip(result.axes, cells, strict=True):
+        table.add_row(*row, style=_STYLES.get(one.state))
     return table
 
 
 def final_table(result: FleetResult, screen: Screen) -> None:
     """The run as it has ended."""
     with giving_up(err=screen.to_stderr):
-        screen.console().print(_table(result, whole=True), markup=False)
+        screen.console().print(_table(result, result, whole=True), markup=False)

@@ -10,6 +10,7 @@ from dataclasses import replace
 from commissioning.desk import Desk, Options, connect
 from commissioning.ending import error_of, of_failed
 from commissioning.fleet.messages import Looked, Order
+from commissioning.ownership import owned
 from commissioning.result.document import RunResult
 from commissioning.result.endings import AxisState
 from commissioning.result.fleet import OF_EXIT_CODE, JobState, Outcome, Room
@@ -61,10 +62,15 @@ def carry_out(order: Order, desk: Desk, step: Step) -> tuple[JobState, Outcome]:
     """The job on one axis, to whatever end; raises only what is a bug."""
     began = time.monotonic()
     axis = Axis.model_validate_json(order.axis)
+    result: RunResult | None = None
+    error: TwoRelayError | None = None
     try:
-        result, error = _done(order, axis, desk, step)
+        with owned(axis.link or "virtual://", f"a fleet's job on axis {axis.name}"):
+            result, error = _done(order, axis, desk, step)
     except Failure as failure:
         result, error = failure.result, failure.error
+    except Refused as refused:  # somebody else has the bus
+        error = refused
     state = OF_EXIT_CODE.get(0 if error is None else error.exit_code, JobState.UNKNOWN)
     return state, _outcome(result, error, desk, time.monotonic() - began)
 

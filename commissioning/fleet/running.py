@@ -13,7 +13,7 @@ from commissioning.fleet.ledger import Ledger
 from commissioning.fleet.looking import Seen, judged, look_at_all, rules_of, task_of
 from commissioning.fleet.pages import folder_of
 from commissioning.fleet.plan import Fleet
-from commissioning.fleet.schedule import makespan
+from commissioning.fleet.schedule import makespan, planned
 from commissioning.fleet.serials import Pins
 from commissioning.fleet.taking_up import again, begin, chosen, only_runner, resume
 from commissioning.interruption import Interruption
@@ -149,10 +149,13 @@ def _accept(names: tuple[str, ...], seen: Mapping[str, Seen], pins: Pins) -> Non
     pins.pin(new)
 
 
-def expected(fleet: Fleet, names: tuple[str, ...], at_once: int | None) -> float:
-    """How long a run of these axes takes, about, s."""
+def expected(
+    fleet: Fleet, names: tuple[str, ...], at_once: int | None
+) -> tuple[dict[str, float], float]:
+    """When each of these axes begins, s, in that order; and how long all take, about."""
     tasks = [
         task_of(axis, seconds_of(fleet.job, stepping=axis.is_stepping))
         for axis in map(fleet.axis, names)
     ]
-    return makespan(tasks, {}, rules_of(fleet, at_once))
+    rules = rules_of(fleet, at_once)
+    return planned(tasks, {}, rules), makespan(tasks, {}, rules)

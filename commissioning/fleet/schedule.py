@@ -9,7 +9,7 @@ import heapq
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-__all__ = ["Rules", "Task", "makespan", "startable"]
+__all__ = ["Rules", "Task", "makespan", "planned", "startable"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,21 +104,32 @@ def makespan(waiting: Sequence[Task], running: Mapping[Task, float], rules: Rule
 
     `running` : the seconds that each still takes
     """
+    begins = planned(waiting, running, rules)
+    ends = [begins[task.name] + task.seconds for task in waiting if task.name in begins]
+    return max((*ends, *running.values()), default=0.0)
+
+
+def planned(
+    waiting: Sequence[Task], running: Mapping[Task, float], rules: Rules
+) -> dict[str, float]:
+    """When each begins, s from now, in that order, as far as durations are as expected.
+
+    Whoever runs is taken for done in time; a task whose `after` never comes is not waited for.
+    """
     left = list(waiting)
-    now = 0.0
-    # who runs is taken for done in time; a task whose `after` never comes is not waited for
+    now, begins = 0.0, {}
     ends = [(seconds, n, task) for n, (task, seconds) in enumerate(running.items())]
     heapq.heapify(ends)
-    done = {name for task in left for name in task.after} - {task.name for task in left}
-    done -= {task.name for task in running}
     count = len(ends)
+    known = {task.name for task in (*left, *running)}
+    done = {name for task in left for name in task.after} - known
     while True:
-        under_way = [task for _, _, task in ends]
-        for task in startable(left, under_way, done, rules):
+        for task in startable(left, [task for _, _, task in ends], done, rules):
             left.remove(task)
+            begins[task.name] = now
             heapq.heappush(ends, (now + task.seconds, count, task))
             count += 1
         if not ends:
-            return now
+            return begins
         now, _, ended = heapq.heappop(ends)
         done.add(ended.name)

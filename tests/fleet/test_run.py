@@ -164,15 +164,14 @@ def test_what_is_not_there_is_named(line: Path, state_folder: Path) -> None:
     assert run("status", "20990101-000000-fleet-x")[0] == 2
 
 
-@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="rights do not bind this user")
-def test_fewer_rights_on_the_home(line: Path, state_folder: Path) -> None:
-    state_folder.mkdir()
-    state_folder.chmod(0o500)
-    try:
-        code, _, errors = run("run", str(line))
-    finally:
-        state_folder.chmod(0o700)
+def test_a_home_that_cannot_be_written(
+    line: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("TWORELAY_HOME", str(tmp_path / "file" / "home"))
+    code, _, errors = run("run", str(line))
     assert code == 7
+    assert errors.count("\n") == 1
     assert "cannot be written" in errors
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from commissioning.fleet.schedule import Rules, Task, makespan, startable
+from commissioning.fleet.schedule import Rules, Task, makespan, planned, startable
 
 BUSY = Rules(4, 4)
 
@@ -94,3 +94,9 @@ def test_how_long_it_takes(tasks: list[Task], rules: Rules, seconds: float) -> N
 def test_what_runs_holds_its_tokens_until_it_ends() -> None:
     running = {Task("a", "bus"): 2.5}
     assert makespan([Task("b", "bus", seconds=1)], running, BUSY) == pytest.approx(3.5)
+
+
+def test_the_order_is_that_of_the_run() -> None:
+    tasks = [Task("short", seconds=1), Task("last", seconds=1, after=("b1",))]
+    tasks += [Task(f"b{n}", "bus", seconds=2) for n in range(2)]
+    assert planned(tasks, {}, Rules(2, 2)) == {"b0": 0.0, "short": 0.0, "b1": 2.0, "last": 4.0}

@@ -74,14 +74,15 @@ def looked_at(
 
     with Interruption() as interruption:
         seen = check(plan, wanted, tell, interruption, accept)
-    rows = [_row(plan.axis(name), found) for name, found in seen.items()]
-    columns = ["axis", "state", "serial", "profile", "bus", "travel", "torque", ""]
-    screen.table(f"{plan.name}: {plan.job}", columns, rows, of_words=True)
-    ready = tuple(name for name, found in seen.items() if found.error is None)
+    ready = tuple(one.name for one in plan.axes if one.name in seen and not seen[one.name].error)
+    begins, seconds = expected(plan, ready, wanted.at_once)
+    order = [*begins, *(name for name in seen if name not in begins)]
+    rows = [_row(plan.axis(name), seen[name], begins.get(name)) for name in order]
+    columns = ["axis", "begins", "state", "serial", "profile", "bus", "travel", "torque", ""]
+    screen.table(f"{plan.name}: {plan.job}, in this order", columns, rows, of_words=True)
     if with_writes:
         for name in ready:
             _say_writes(name, seen[name], screen)
-    seconds = expected(plan, ready, wanted.at_once)
     screen.say(
         f"{len(ready)} of {len(seen)} axes can be moved, in about {remaining(seconds)}; nothing "
         "was written or moved"
@@ -95,11 +96,14 @@ def looked_at(
     return 0 if len(ready) == len(seen) else _NOT_ALL
 
 
-def _row(axis: PlannedAxis, found: Seen) -> list[str]:
+def _row(axis: PlannedAxis, found: Seen, begins: float | None) -> list[str]:
+    from commissioning.result.words import remaining
+
     looked = found.looked
     room = looked.room if looked else None
     return [
         axis.name,
+        "" if begins is None else f"after {remaining(begins)}" if begins else "at once",
         "can be moved" if found.error is None else str(found.state),
         looked.serial if looked else "",
         looked.profile if looked else "",

@@ -23,8 +23,9 @@ from commissioning.result.readings import MethodName
 from drivers.home import home
 from drivers.link import axis_of
 from profiles.axis import Axis, load_axis
-from profiles.errors import Refused, TwoRelayError, UsageError
+from profiles.errors import ProfileError, Refused, TwoRelayError, UsageError
 from profiles.plain import plain
+from profiles.toml_files import parse_tree, read_text
 
 if TYPE_CHECKING:
     from commissioning.result.document import RunResult
@@ -178,7 +179,7 @@ def axis_from(target: str, profile: str | None) -> Axis:
     if "://" in target or target.startswith("modbus-rtu:"):
         axis = axis_of(target)
     elif target.endswith(".toml"):
-        axis = load_axis(Path(target))
+        axis = _axis_of_file(Path(target))
         if axis.link is None:
             raise UsageError(f'{target}: has no link; add link = "modbus-tcp://…"')
     else:
@@ -187,6 +188,25 @@ def axis_from(target: str, profile: str | None) -> Axis:
             "modbus-tcp://, modbus-rtu: or canopen://, an axis file ends with .toml"
         )
     return axis.model_copy(update={"profile": profile}) if profile else axis
+
+
+def _axis_of_file(path: Path) -> Axis:
+    """An axis file; one that is a fleet file is told so."""
+    try:
+        return load_axis(path)
+    except ProfileError:
+        if not _is_fleet(path):
+            raise
+    raise UsageError(
+        f"{path}: is a fleet file, and no axis file", hint=f"'tworelay fleet check {path}'"
+    )
+
+
+def _is_fleet(path: Path) -> bool:
+    try:
+        return "axes" in parse_tree(read_text(path), str(path))
+    except ProfileError:
+        return False
 
 
 class Finite(click.FloatRange):
@@ -346,13 +366,15 @@ def act_on(run: str, desk: Desk, screen: Screen, json_target: str | None) -> Gen
         raise
 
 
-def check_json(target: str | None) -> None:
+def check_json(target: str | None, option: str = "--json") -> None:
     """See before anything is done that the result can be written; raises UsageError."""
     if target is None or target == "-":
         return
     path = Path(target)
     if path.is_dir() or not path.absolute().parent.is_dir():
-        raise UsageError(f"--json {target}: cannot be written: no such folder, or a folder itself")
+        raise UsageError(
+            f"{option} {target}: cannot be written: no such folder, or a folder itself"
+        )
 
 
 def write_json(result: RunResult, target: str | None) -> None:

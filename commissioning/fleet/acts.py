@@ -109,7 +109,10 @@ def _verified(
     try:
         step(1, 1, "proving")
         run = _run_to_verify(options.serial or "", axis.name, desk)
-        wishes = Wishes(options.travel, options.max_speed, options.cycle, options.without_watchdog)
+        wishes = Wishes(
+            options.travel, options.max_speed, options.cycle, options.without_watchdog,
+            options.max_torque,
+        )  # fmt: skip
         return verify(run, axis.link, desk, wishes), None
     except TwoRelayError as error:
         return (of_failed(desk, run, error) if run else None), error
@@ -148,6 +151,7 @@ def _outcome(
         VERDICTS[result.quality.verdict] if result.quality.verdict else None,
         result.coulomb, found.offset, found.viscous, found.inertia,
         result.compensation,
+        result.written,
         result.units.position,
         None if proved is None else proved.steps[0].reversal_error,
         None if kept is None else kept.reversal_error,

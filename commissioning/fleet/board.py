@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from commissioning.errors import JournalError
 from commissioning.fleet.ledger import Ledger, LedgerRow
@@ -24,7 +24,9 @@ from commissioning.result.fleet import (
 
 __all__ = ["Board", "Standing"]
 
-_ACTIVE = JobState.PLANNED, JobState.GRANTED, JobState.STARTED  # of which there is to be told
+_ACTIVE = (  # of which there is to be told
+    JobState.PLANNED, JobState.WAITING, JobState.GRANTED, JobState.STARTED,
+)  # fmt: skip
 
 
 @dataclass
@@ -81,6 +83,7 @@ class Board:
         self.run = run
         self.failure: JournalError | None = None
         self._ledger = ledger
+        self._record = ledger.record(run)
         rows = ledger.rows(run)
         self._all = {
             one.name: _standing(one, rows[one.name]) for one in fleet.axes if one.name in rows
@@ -101,12 +104,16 @@ class Board:
     ) -> None:
         """A transition, in the ledger first; a ledger that fails is kept as the `failure`."""
         try:
-            self._ledger.move(
+            moved = self._ledger.move(
                 self.run, one.name, one.attempt, new, why=why, given=given,
                 also={"serial": one.serial},
             )  # fmt: skip
         except JournalError as error:
             self.failure = self.failure or error
+        else:
+            if not moved:
+                self._learn(one, why)
+                return
         one.state, one.why = new, why
 
     def grant(self, one: Standing) -> bool:
@@ -137,10 +144,13 @@ class Board:
         self._ended(one, JobState.REVOKED, why)
 
     def _learn(self, one: Standing, why: str) -> None:
-        """How an axis stands whose process is gone, by the ledger."""
+        """How an axis stands that somebody else has moved on, or whose process is gone."""
         row = self._ledger.rows(self.run)[one.name]
         if row.state is JobState.STARTED:
-            self.move(one, JobState.UNKNOWN, why)
+            self._ledger.move(
+                self.run, one.name, one.attempt, JobState.UNKNOWN, why=why,
+                given=(JobState.STARTED,),
+            )  # fmt: skip
             self._ended(one, JobState.UNKNOWN, why)
             return
         one.outcome = row.outcome
@@ -156,13 +166,22 @@ class Board:
         one.outcome = outcome
         self._ended(one, state, why)
 
+    def explain(self, one: Standing, why: str) -> None:
+        """Say why it ended, where its process could not know."""
+        try:
+            self._ledger.explain(self.run, one.name, one.attempt, why)
+        except JournalError as error:
+            self.failure = self.failure or error
+        one.why = why
+
     @staticmethod
     def _ended(one: Standing, state: JobState, why: str) -> None:
         one.state, one.why, one.ended = state, why, time.time()
 
     def view(self, state: FleetState, tool: Tool | None, left: float | None) -> FleetResult:
         """The run as it is now."""
-        record = self._ledger.record(self.run)
+        over = state in (FleetState.FINISHED, FleetState.STOPPED)
+        record = replace(self._record, ended=time.time() if over else None)
         axes = [_shown(one) for one in self]
         return view(record, axes, state, tool, left, rehearsed=self.fleet.rehearsed)
 

@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
-import signal
-import statistics
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from datetime import datetime
-from typing import Protocol
 
 from commissioning.ending import operator, tool
+from commissioning.errors import JournalError
 from commissioning.fleet.board import Board, Standing
 from commissioning.fleet.confirming import GOOD_FOR, Asked, question
 from commissioning.fleet.crew import Crew, Worker
+from commissioning.fleet.demand import Demand, Level
 from commissioning.fleet.ledger import Ledger
-from commissioning.fleet.looking import Seen, judged, look_at_all, order_of, rules_of, task_of
+from commissioning.fleet.looking import (
+    Seen,
+    cut_off,
+    judged,
+    look_at_all,
+    order_of,
+    rules_of,
+    task_of,
+)
 from commissioning.fleet.messages import Report
+from commissioning.fleet.people import Answer, Ask, People
 from commissioning.fleet.plan import Fleet
-from commissioning.fleet.schedule import Rules, Task, makespan, startable
+from commissioning.fleet.schedule import Rules, Task, obstacle, startable
 from commissioning.fleet.serials import NO_SERIAL, Pins
+from commissioning.fleet.time_left import TimeLeft
 from commissioning.interruption import Interruption
+from commissioning.journal import Journal
 from commissioning.result.fleet import (
     FAILED,
     Confirmed,
@@ -28,36 +38,18 @@ from commissioning.result.fleet import (
     FleetState,
     JobState,
 )
+from drivers.home import home
+from profiles.errors import TwoRelayError
 
-__all__ = ["Conductor", "People", "seconds_of"]
+__all__ = ["Conductor"]
 
 _WAIT = 0.1  # s
-_SHOWN, _ASKED = 0.25, 0.5  # s between pictures, and between looks at what is asked for
+_SHOWN = 0.25  # s between pictures
 _LATE = 0.05  # share of late cycles from which on nothing more starts beside it
 _STILL_ENABLED = 0.5  # s after which an axis of a zone shows that it was no emergency stop
+_NEVER = float("inf")
 _LEFT = "drive.left"  # a drive that was disabled without a fault, and not by us
 _CLEAN = JobState.DONE, JobState.NOT_HELPED, JobState.REJECTED, JobState.REFUSED
-_SECONDS = {  # of one axis: in real time, and in simulated time
-    "identify": (13.0, 1.0), "commission": (57.0, 3.0), "verify": (50.0, 2.0),
-}  # fmt: skip
-
-
-def seconds_of(job: str, *, stepping: bool) -> float:
-    """That a job on one axis takes, as far as experience goes."""
-    return _SECONDS[job][stepping]
-
-
-class People(Protocol):
-    """Whoever looks on, and is asked."""
-
-    def tell(self, text: str) -> None:
-        """One line."""
-
-    def ask(self, text: str, word: str) -> Callable[[], bool | None]:
-        """Ask for a word; what is returned says whether it was typed; None: not answered yet."""
-
-    def show(self, result: FleetResult) -> None:
-        """The run as it is now."""
 
 
 class Conductor:
@@ -91,26 +83,43 @@ class Conductor:
         self._in_advance = in_advance
         self._clock = clock
         self._rules: Rules = rules_of(self.fleet, at_once)
-        self._took: dict[bool, list[float]] = {True: [], False: []}
+        self._estimate = TimeLeft(self.fleet.job, self._rules, clock)
         self._paused: dict[str, float] = {}  # zone → s of the monotonic clock
-        self._question: tuple[Asked, Callable[[], bool | None]] | None = None
-        self._wake: tuple[str, Callable[[], bool | None]] | None = None
-        self._shown = self._asked = 0.0
-        self._heeded = 0
-        self._left: tuple[float, float] | None = None  # s left, and when that was so
-        self.draining = False
+        self._question: tuple[Asked, Ask] | None = None
+        self._wake: tuple[str, Ask] | None = None
+        self._shown = 0.0
+        self._demand = Demand(interruption, lambda: ledger.request(board.run), clock)
+        self.error: TwoRelayError | None = None
 
     # -- from the look to the end ----------------------------------------------------------------
 
     def run(self, names: Collection[str]) -> FleetResult:
-        """Do the job on these axes; returns the run as it ended."""
+        """Do the job on these axes; returns the run as it ended, `error` says what ended it early.
+
+        What moves is not left, whatever happens.
+        """
         self._people.show(self.result())
         try:
             self._look([one for one in self.board if one.name in names])
-        except BaseException:
-            self._go(FleetState.STOPPED)
-            raise
-        self._go(FleetState.RUNNING)
+        except TwoRelayError as error:
+            self.error = error
+        else:
+            self._go(FleetState.RUNNING)
+            self._carry_on()
+        over = self.error is None and not self.board.of(JobState.WAITING) and not self.draining
+        self._go(FleetState.FINISHED if over else FleetState.STOPPED)
+        self.error = self.error or self.board.failure
+        self._estimate.over()
+        result = self.result()
+        self._people.show(result)
+        return result
+
+    @property
+    def draining(self) -> bool:
+        """Whether nothing more is to start."""
+        return self._demand.level > Level.GO_ON
+
+    def _carry_on(self) -> None:
         while True:
             self._heed()
             self._block()
@@ -118,32 +127,25 @@ class Conductor:
             if not self.draining:
                 self._ask()
                 self._start()
-            if not self.board.of(JobState.GRANTED, JobState.STARTED) and self._is_over():
-                break
+            if not self._running() and self._is_over():
+                return
             heard = self._crew.hear(_WAIT)
             if heard is not None:
                 self._hear(*heard)
             self._show()
-        over = not self.board.of(JobState.WAITING) and not self.draining
-        self._go(FleetState.FINISHED if over else FleetState.STOPPED)
-        self._left = None
-        result = self.result()
-        self._people.show(result)
-        return result
 
     def result(self) -> FleetResult:
         """The run as it is now."""
-        left = None
-        if self._left is not None:
-            left = max(0.0, self._left[0] - (self._clock() - self._left[1]))
-        return self.board.view(self.state, tool(), left)
+        return self.board.view(self.state, tool(), self._estimate.left())
 
     def _go(self, state: FleetState) -> None:
         if state is self.state:
             return
         self.state = state
-        if self.board.failure is None:
+        try:
             self._ledger.set_state(self.board.run, state)
+        except JournalError as error:
+            self.board.failure = self.board.failure or error
 
     def _look(self, standings: Iterable[Standing]) -> None:
         """Look at each, hold each drive to its axis, and pin those that are new."""
@@ -181,8 +183,18 @@ class Conductor:
             else:
                 self.board.move(one, its.state, its.error.text)
                 self._blocks_its_group(one)
-        for one in self.board.of(JobState.UNKNOWN):  # nobody knows where it stands
-            self._blocks_its_group(one)
+        self._hold_back(chosen, {**pinned, **self._pins.known})
+
+    def _hold_back(self, chosen: Collection[Standing], pinned: Mapping[str, str]) -> None:
+        """Groups of which an axis is in a state in which it may stand in the way."""
+        with Journal(home(), reading=True) as journal:
+            for name, run in cut_off(self.fleet, pinned, journal).items():
+                of_it = self.fleet.axis(name).group or ""
+                why = f"run {run} on '{name}' of its group '{of_it}' was cut off"
+                self._block_group(of_it, why)
+        for one in self.board:
+            if one not in chosen:
+                self._blocks_its_group(one)
 
     # -- what is so ------------------------------------------------------------------------------
 
@@ -190,9 +202,7 @@ class Conductor:
         return task_of(one.planned, self._seconds(stepping=one.planned.is_stepping))
 
     def _seconds(self, *, stepping: bool) -> float:
-        """That a job takes, by those that have ended, or by experience, s."""
-        took = self._took[stepping]
-        return statistics.fmean(took) if took else seconds_of(self.fleet.job, stepping=stepping)
+        return self._estimate.seconds(stepping=stepping)
 
     def _running(self) -> list[Standing]:
         return self.board.of(JobState.GRANTED, JobState.STARTED)
@@ -220,37 +230,33 @@ class Conductor:
     # -- people ----------------------------------------------------------------------------------
 
     def _heed(self) -> None:
-        """Signals, and what other processes ask for."""
-        count = self._interruption.count
-        if count > self._heeded:
-            first = self._heeded == 0 and self._interruption.signal != signal.SIGTERM
-            self._heeded = count
-            self._stop_starting(
-                "interrupted: what runs is finished, nothing more starts; once more stops it"
-                if first
-                else "interrupted: what runs is stopped"
-            )
-            if not first:
-                self._stop_running()
-        if self._clock() - self._asked < _ASKED or self.board.failure is not None:
+        """Let nothing more start, or stop what runs, where that is asked for."""
+        demand = self._demand
+        try:
+            new = demand.heard()
+        except JournalError as error:
+            self.board.failure = error
+            new = False
+        if self.board.failure is not None:
+            why = f"the ledger takes no more ({self.board.failure.text})"
+            new = demand.raised(Level.DRAIN, why) or new
+        if not new:
             return
-        self._asked = self._clock()
-        request = self._ledger.request(self.board.run)
-        if request and not self.draining:
-            self._stop_starting("'tworelay fleet stop' ends this run")
-            if request == "stop":
-                self._stop_running()
-
-    def _stop_starting(self, why: str) -> None:
-        if not self.draining or why:
-            self._people.tell(why)
-        self.draining = True
-
-    def _stop_running(self) -> None:
+        self._show(now=True)
+        if demand.level is Level.DRAIN:
+            more = "; once more stops it" if self._interruption.count else ""
+            self._people.tell(f"{demand.who}: what runs is finished, nothing more starts{more}")
+            return
+        self._people.tell(f"{demand.who}: what runs is stopped")
         for one in self._running():
             worker = self._workers.get(one.name)
             if worker is not None:
                 worker.interrupt()
+
+    def _drain(self, why: str) -> None:
+        """Let nothing more start."""
+        if self._demand.raised(Level.DRAIN, why):
+            self._people.tell(f"{why}: what runs is finished, nothing more starts")
 
     @property
     def _workers(self) -> dict[str, Worker]:
@@ -259,12 +265,14 @@ class Conductor:
     def _ask(self) -> None:
         """See what was answered; ask for what could start, if only it might."""
         if self._question is not None:
-            asked, answer = self._question
-            yes = answer()
-            if yes is None:
+            asked, pending = self._question
+            answer = pending()
+            if answer is None:
                 return
             self._question = None
-            self._answered(asked, yes=yes)
+            self._answered(asked, answer)
+            if self.draining:
+                return
         now = self._clock()
         waiting = self.board.of(JobState.WAITING)
         candidates = [one for one in self._may_start(waiting) if one.confirmed_until < now]
@@ -280,10 +288,14 @@ class Conductor:
         asked = question(self.fleet, first.planned, with_room, seconds)
         self._question = asked, self._people.ask(asked.text, asked.word)
 
-    def _answered(self, asked: Asked, *, yes: bool) -> None:
-        for name in asked.axes:
-            one = self.board[name]
-            if yes:
+    def _answered(self, asked: Asked, answer: Answer) -> None:
+        if answer is Answer.NOBODY:
+            self._drain("nobody is at the terminal")
+            return
+        for one in (self.board[name] for name in asked.axes):
+            if one.state is not JobState.WAITING:
+                continue
+            if answer is Answer.YES:
                 self._confirm(one, f"'{asked.word}' was typed")
             else:
                 self.board.move(one, JobState.REFUSED, "not confirmed: nothing was moved")
@@ -294,24 +306,30 @@ class Conductor:
         one.confirmed = Confirmed(operator() or "unknown", at, how, one.looked.room)
         one.confirmed_until = self._clock() + GOOD_FOR
 
-    def _show(self) -> None:
-        if self._clock() - self._shown >= _SHOWN:
-            self._shown = self._clock()
-            self._people.show(self.result())
+    def _show(self, *, now: bool = False) -> None:
+        """A picture of the run, now and then, or `now`."""
+        if not now and self._clock() - self._shown < _SHOWN:
+            return
+        self._shown = self._clock()
+        tasks = [self._task(one) for one in self._running()]
+        done = {one.name for one in self.board.of(JobState.DONE)}
+        late = any(one.late > _LATE for one in self._running())
+        for one in self.board.of(JobState.WAITING):
+            what = obstacle(self._task(one), tasks, done, paused=self._paused, late=late)
+            one.doing = "" if self.draining else what
+        self._people.show(self.result())
 
     # -- starting --------------------------------------------------------------------------------
 
     def _start(self) -> None:
-        if self.board.failure is not None:
-            self._stop_starting(f"nothing more starts: {self.board.failure}")
-            return
         now = self._clock()
         confirmed = [o for o in self.board.of(JobState.WAITING) if o.confirmed_until >= now]
         for one in self._may_start(confirmed):
             if self.board.grant(one):
                 one.since = now
                 self._begin(one)
-            self._left = self._expected()
+            self._expect()
+            self._show(now=True)
 
     def _begin(self, one: Standing) -> None:
         assert one.looked is not None
@@ -320,15 +338,11 @@ class Conductor:
         order = replace(order, room=one.looked.room, options=options)
         self._crew.order(order, anew=not one.planned.is_stepping)
 
-    def _expected(self) -> tuple[float, float]:
-        """Seconds that are left, and when that was so."""
+    def _expect(self) -> None:
+        """How long it still takes."""
         now = self._clock()
-        running = {}
-        for one in self._running():
-            task = self._task(one)
-            running[task] = max(0.0, task.seconds - (now - one.since))
-        waiting = [self._task(one) for one in self.board.of(JobState.WAITING)]
-        return makespan(waiting, running, self._rules), now
+        running = {self._task(one): now - one.since for one in self._running()}
+        self._estimate.renew([self._task(o) for o in self.board.of(JobState.WAITING)], running)
 
     # -- what workers say ------------------------------------------------------------------------
 
@@ -368,8 +382,11 @@ class Conductor:
             self._crew.take_back(worker)
         else:
             self._crew.let_go(worker)
+        if state is JobState.STOPPED and self._demand.who:
+            why = f"stopped ({self._demand.who}); --again {one.name} does it again"
+            self.board.explain(one, why)
         if state is JobState.DONE:
-            self._took[stepping].append(self._clock() - one.since)
+            self._estimate.learn(self._clock() - one.since, stepping=stepping)
         self._fell(one)
 
     def _settle(self, one: Standing, why: str) -> None:
@@ -381,20 +398,37 @@ class Conductor:
     # -- what follows from an end ----------------------------------------------------------------
 
     def _fell(self, one: Standing) -> None:
-        if one.state in FAILED:
-            self._blocks_its_group(one)
+        """What follows from the end of an axis."""
+        self._blocks_its_group(one)
         error = one.outcome.error if one.outcome else None
-        if error is not None and error.code == _LEFT and one.planned.zone:
-            self._pause(one.planned.zone, one)
-        self._left = self._expected()
+        name, zone = one.name, one.planned.zone
+        if self._stands_unknown(one):
+            self._people.tell(f"'{name}': NOT VERIFIED that it is at rest: {one.why}")
+            if zone:
+                self._pause(zone, f"'{name}' in it is not verified to be at rest")
+        elif error is not None and error.code == _LEFT and zone:
+            why = f"'{name}' was disabled without a fault, as an emergency stop does"
+            self._pause(zone, why, may_be_woken=True)
+        self._expect()
+        self._show(now=True)
+
+    @staticmethod
+    def _stands_unknown(one: Standing) -> bool:
+        """Whether nobody knows that an axis that was started is at rest."""
+        if one.state is JobState.UNKNOWN:
+            return True
+        return one.state in FAILED and one.outcome is not None and not one.outcome.at_rest
 
     def _blocks_its_group(self, one: Standing) -> None:
         group = one.planned.group
-        if not group or self.fleet.groups[group].on_failure == "go-on":
+        if not group or one.state not in FAILED:
             return
+        if self.fleet.groups[group].on_failure == "stop-group" or self._stands_unknown(one):
+            self._block_group(group, f"'{one.name}' of its group '{group}' is {one.state}")
+
+    def _block_group(self, group: str, why: str) -> None:
         for other in self.board.of(JobState.WAITING, JobState.PLANNED):
             if other.planned.group == group:
-                why = f"'{one.name}' of its group '{group}' is {one.state}"
                 self.board.move(other, JobState.BLOCKED, why)
 
     def _block(self) -> None:
@@ -410,13 +444,13 @@ class Conductor:
                 why = f"is to run after '{lost[0]}', which is {state}"
                 self.board.move(one, JobState.BLOCKED, why)
 
-    def _pause(self, zone: str, one: Standing) -> None:
-        """It may have been the emergency stop: nothing starts there until somebody says so."""
-        self._paused[zone] = self._clock()
-        self._people.tell(
-            f"'{one.name}' was disabled without a fault, as an emergency stop does: zone '{zone}' "
-            "is paused"
-        )
+    def _pause(self, zone: str, why: str, *, may_be_woken: bool = False) -> None:
+        """Nothing starts there until somebody says so.
+
+        `may_be_woken` : or until another axis of the zone shows that it is enabled still
+        """
+        self._paused[zone] = self._clock() if may_be_woken else _NEVER
+        self._people.tell(f"zone '{zone}' is paused: {why}")
 
     def _resume_zones(self) -> None:
         for zone, since in list(self._paused.items()):
@@ -431,11 +465,11 @@ class Conductor:
                     "no emergency stop"
                 )
         if self._wake is not None:
-            zone, answer = self._wake
-            yes = answer()
-            if yes is not None:
+            zone, pending = self._wake
+            answer = pending()
+            if answer is not None:
                 self._wake = None
-                self._woken(zone, yes=yes)
+                self._woken(zone, answer)
         held = [
             zone for zone in self._paused
             if any(one.planned.zone == zone for one in self.board.of(JobState.WAITING))
@@ -445,18 +479,21 @@ class Conductor:
             if self._in_advance is not None:
                 return  # nobody is at the terminal: the run ends without them
             text = (
-                f"Zone '{held[0]}' is paused. When its emergency stop is released and nobody is in "
-                "it:"
+                f"Zone '{held[0]}' is paused. When all its axes are at rest, its emergency stop is "
+                "released and nobody is in it:"
             )
             self._wake = held[0], self._people.ask(text, held[0])
         if self.state in (FleetState.RUNNING, FleetState.PAUSED):
             self._go(FleetState.PAUSED if held else FleetState.RUNNING)
 
-    def _woken(self, zone: str, *, yes: bool) -> None:
+    def _woken(self, zone: str, answer: Answer) -> None:
+        if answer is Answer.NOBODY:
+            self._drain("nobody is at the terminal")
+            return
         self._paused.pop(zone, None)
         for one in self.board.of(JobState.WAITING):
             if one.planned.zone != zone:
                 continue
             one.confirmed_until = 0.0  # what was seen before is not what is there now
-            if not yes:
+            if answer is Answer.NO:
                 self.board.move(one, JobState.BLOCKED, f"zone '{zone}' is paused")

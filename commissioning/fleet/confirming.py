@@ -13,6 +13,11 @@ from profiles.errors import Refused
 
 __all__ = ["GOOD_FOR", "Asked", "check_in_advance", "question"]
 
+_WRITES = {
+    "identify": "Nothing is written for good.",
+    "commission": "The compensation that proves to help is written and stored.",
+    "verify": "The compensation of the last run is tried, and what proves to help is stored.",
+}
 GOOD_FOR = 900.0  # s: a confirmation of what starts within that, and is then asked again
 
 
@@ -103,6 +108,7 @@ def question(
         (
             f"{whose} will MOVE by itself:" if len(soon) == 1 else f"{whose} will MOVE, in turn:",
             *lines,
+            _WRITES[fleet.job],
             "tworelay is not a safety function: keep people clear and the emergency stop in reach.",
         )
     )

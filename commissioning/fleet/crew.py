@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import queue
 import signal
 import subprocess
 import sys
 import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from commissioning.fleet.messages import Order, Report
 from commissioning.processes import start
@@ -17,7 +20,7 @@ from commissioning.result.fleet_codec import json_of, of_json
 
 __all__ = ["Crew", "Spoken", "Worker"]
 
-_TO_END = 5.0  # s
+_TO_END, _LOOK = 5.0, 0.02  # s
 
 
 class Spoken(NamedTuple):
@@ -33,11 +36,13 @@ class Worker:
     Attributes
     ----------
     busy : axis that it is at; '': none
+    moves : and that it may move it
     """
 
     def __init__(self, log: Path, heard: queue.SimpleQueue[Spoken]) -> None:
         self.busy = ""
-        with log.open("ab") as errors:
+        self.moves = False
+        with _opened(log) as errors:
             self._process = start(
                 "commissioning.fleet.worker", stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                 stderr=errors,
@@ -62,7 +67,7 @@ class Worker:
     def order(self, order: Order) -> bool:
         """Tell it what to do; False: it hears no more."""
         assert self._process.stdin is not None
-        self.busy = order.name
+        self.busy, self.moves = order.name, order.act == "job"
         try:
             self._process.stdin.write((json_of(order) + "\n").encode())
             self._process.stdin.flush()
@@ -84,14 +89,31 @@ class Worker:
         with contextlib.suppress(OSError):
             self._process.stdin.close()
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether its process is no more."""
+        return self._process.poll() is not None
+
+    def give_up(self) -> None:
+        """End it at once; for one that moves nothing."""
+        with contextlib.suppress(OSError):
+            self._process.kill()
+
     def close(self) -> None:
-        """Wait until it has ended; one that does not is left alone, for its axis' sake."""
-        self.dismiss()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(None if self.busy else _TO_END)
+        """Let go of what led to it; its process has ended."""
+        self._process.wait()
         self._ear.join(_TO_END)
-        assert self._process.stdout is not None
-        self._process.stdout.close()
+        if self._process.stdout is not None and not self._ear.is_alive():
+            self._process.stdout.close()
+
+
+def _opened(log: Path) -> BinaryIO:
+    """Where workers write what nobody expected; nowhere, if the folder is gone."""
+    try:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        return log.open("ab")
+    except OSError:
+        return Path(os.devnull).open("ab")
 
 
 class Crew:
@@ -145,11 +167,30 @@ class Crew:
         if worker in self._all:
             self._all.remove(worker)
             worker.busy = ""
+            worker.dismiss()
             worker.close()
 
-    def close(self) -> None:
-        """Wait for those that are at work, and let all go."""
+    def close(self, signals: Callable[[], int] = lambda: 0) -> None:
+        """Let all go, and wait for those that move an axis.
+
+        `signals` : how many have come; each new one is handed on to them. What only looks is not
+        waited for.
+        """
+        heeded, since = signals(), time.monotonic()
         for worker in self._all:
             worker.dismiss()
+            if worker.busy and not worker.moves:
+                worker.interrupt()
+        while left := [worker for worker in self._all if not worker.has_ended]:
+            if signals() > heeded:
+                heeded = signals()
+                for worker in left:
+                    worker.interrupt()
+            if time.monotonic() - since > _TO_END:
+                for worker in left:
+                    if not (worker.busy and worker.moves):
+                        worker.give_up()
+            time.sleep(_LOOK)
         for worker in self._all:
             worker.close()
+        self._all.clear()

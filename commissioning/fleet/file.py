@@ -66,9 +66,11 @@ class Keys(Strict):
 
 
 OF_THE_JOB = (
-    "fraction", "method", "solver", "repeat", "points", "output_filter", "max_torque", "max_speed",
-    "duration", "without_watchdog",
+    "fraction", "method", "solver", "repeat", "points", "output_filter", "without_watchdog",
 )  # fmt: skip
+LIMITS = {  # option of the job → the limit of the axis that it is
+    "max_torque": "torque", "max_speed": "speed", "duration": "duration", "watchdog": "watchdog",
+}  # fmt: skip
 
 
 class AxisEntry(Keys):
@@ -110,7 +112,7 @@ class FleetFile(Strict):
     job: FleetJob
     confirm: Literal["each", "group", "yes"] = "group"
     defaults: Keys = Keys()
-    zones: dict[str, Zone] = {}
-    groups: dict[str, Group] = {}
+    zones: dict[Name, Zone] = {}
+    groups: dict[Name, Group] = {}
     gateways: dict[str, Gateway] = {}
     axes: Annotated[list[AxisEntry], Field(min_length=1, max_length=MOST_AXES)]

@@ -307,6 +307,26 @@ class Ledger:
             also={"run": outcome.run, "outcome": json_of(outcome)},
         )  # fmt: skip
 
+    def explain(self, run: str, axis: str, attempt: int, why: str) -> None:
+        """Why an axis has ended, where its process could not know."""
+        with self._change() as db:
+            db.execute(
+                "UPDATE fleet_axes SET why=? WHERE fleet_run=? AND axis=? AND attempt=?",
+                (why, run, axis, attempt),
+            )
+            self._tell(db, run, axis, attempt, why)
+
+    def under_way(self, name: str) -> list[tuple[str, LedgerRow]]:
+        """Axes of any run of the fleet `name` that a living process moves."""
+        with self._errors():
+            found = self._db.execute(
+                "SELECT fleet_axes.* FROM fleet_axes JOIN fleet_runs ON fleet_run = id WHERE "
+                "name=? AND fleet_axes.state IN (?,?)",
+                (name, JobState.GRANTED, JobState.STARTED),
+            ).fetchall()
+            rows = [(str(row["fleet_run"]), _row(dict(row))) for row in found]
+        return [(run, row) for run, row in rows if row.is_alive]
+
     def attempts(self, run: str) -> list[LedgerRow]:
         """Every attempt at every axis, in the order in which they came."""
         with self._errors():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 from commissioning.ending import error_of
 from commissioning.fleet.crew import Crew
@@ -12,10 +13,12 @@ from commissioning.fleet.messages import Looked, Order
 from commissioning.fleet.plan import Fleet, PlannedAxis
 from commissioning.fleet.schedule import Rules, Task, startable
 from commissioning.fleet.serials import misplaced
+from commissioning.journal import Journal
 from commissioning.result.endings import Error
 from commissioning.result.fleet import JobState
+from drivers.places import same_place
 
-__all__ = ["Seen", "judged", "look_at_all", "rules_of", "task_of"]
+__all__ = ["Seen", "cut_off", "judged", "look_at_all", "rules_of", "task_of"]
 
 _WAIT = 0.1  # s
 _BLOCKED = "run.cut-off", "run.in-progress"  # an unfinished journal
@@ -118,6 +121,19 @@ def _seen(looked: Looked | None, error: Error | None, exit_code: int) -> Seen:
     if error.code in _BLOCKED:
         return Seen(error=error, state=JobState.BLOCKED)
     return Seen(error=error, state=_OF_EXIT_CODE.get(exit_code, JobState.REFUSED))
+
+
+def cut_off(fleet: Fleet, pinned: Mapping[str, str], journal: Journal) -> dict[str, str]:
+    """Axes in a group on whose drive a run was cut off, asked for or not, and which run that is."""
+    found = {}
+    for one in fleet.axes:
+        serial = pinned.get(one.name)
+        if one.group is None or serial is None or not one.link:
+            continue
+        runs = journal.unfinished(serial, partial(same_place, one.link))
+        if runs:
+            found[one.name] = runs[0]
+    return found
 
 
 def judged(seen: Mapping[str, Seen], pinned: Mapping[str, str]) -> dict[str, Seen]:

@@ -55,8 +55,9 @@ def junit_text(result: FleetResult) -> str:
     suite = TestSuite(plain(result.name))
     for one in result.axes:
         outcome = one.outcome
-        where = f"{result.name}.{one.group}" if one.group else result.name
-        case = TestCase(f"{one.name}: {result.job}", where, outcome.seconds if outcome else 0.0)
+        where = plain(f"{result.name}.{one.group}" if one.group else result.name)
+        seconds = outcome.seconds if outcome else 0.0
+        case = TestCase(plain(f"{one.name}: {result.job}"), where, seconds)
         why = plain(one.why or str(one.state))
         if one.state in _FAILURES:
             case.result = [Failure(why, str(one.state))]

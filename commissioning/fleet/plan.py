@@ -2,27 +2,40 @@
 
 from __future__ import annotations
 
+import difflib
 import glob
+import hashlib
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 from commissioning.desk import Options
-from commissioning.fleet.file import MOST_AXES, OF_THE_JOB, AxisEntry, FleetFile, Group, Keys, Zone
+from commissioning.fleet.file import (
+    LIMITS,
+    MOST_AXES,
+    OF_THE_JOB,
+    AxisEntry,
+    FleetFile,
+    Group,
+    Keys,
+    Zone,
+)
 from commissioning.result.fleet import FleetJob
-from drivers.link import axis_of
-from drivers.link_text import parse
+from drivers.link import axis_of, check_virtual
+from drivers.link_text import is_simulated, parse
 from drivers.places import buses, same_place
-from profiles.axis import Axis, load_axis
+from profiles.axis import Axis, axis_name, load_axis
 from profiles.errors import ProfileError, TwoRelayError, UnknownName, UsageError
-from profiles.toml_files import load_model, validated
+from profiles.toml_files import parse_tree, read_text, validated
 
 __all__ = ["Fleet", "PlannedAxis", "differences", "load_fleet"]
 
 _OF_A_LINE = "baudrate", "parity", "stopbits", "bitrate", "clock"
-_NO_AXIS = "file", "serial", "after", "gateway", "twin", "watchdog", *OF_THE_JOB
+_NO_AXIS = "file", "serial", "after", "gateway", "twin", *OF_THE_JOB
+_ONE_UNIT = "travel", "torque", "speed"  # in rad, N.m, rad/s or m, N, m/s
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +71,9 @@ class PlannedAxis:
     def is_stepping(self) -> bool:
         """Whether its time is simulated."""
         link = parse(self.link) if self.link else None
-        return link is not None and (link.scheme == "virtual" or link.is_stepping)
+        if link is None:
+            return False
+        return link.scheme == "virtual" or (link.is_stepping and is_simulated(self.link))
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +105,7 @@ class Fleet:
             options = {f.name: getattr(one.options, f.name) for f in fields(one.options)}
             others = {
                 "group": one.group, "zone": one.zone, "after": list(one.after),
-                "serial": one.serial,
+                "serial": one.serial, "profile_hash": _hash_of(one),
             }  # fmt: skip
             merged = (*options.items(), *said.items(), *others.items())
             axes[one.name] = {k: v for k, v in merged if v not in (None, False, [], {})}
@@ -101,6 +116,17 @@ class Fleet:
             "axes": axes,
             "rehearsed": self.rehearsed,
         }  # fmt: skip
+
+
+def _hash_of(one: PlannedAxis) -> str | None:
+    """Of a profile that is a file, which may change."""
+    profile = one.axis and one.axis.profile
+    if not profile or not profile.endswith(".toml"):
+        return None
+    try:
+        return hashlib.sha256(Path(profile).read_bytes()).hexdigest()[:16]
+    except OSError:
+        return None
 
 
 def differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
@@ -124,7 +150,7 @@ def load_fleet(path: Path, job: FleetJob | None = None) -> Fleet:
     An axis file that is broken is kept for the axis; the fleet file itself, and what contradicts
     itself in it, raise UsageError.
     """
-    file = load_model(path, FleetFile)
+    file = _file(path)
     found = [one for n, entry in enumerate(file.axes, 1) for one in _entries(path, file, entry, n)]
     if len(found) > MOST_AXES:
         raise UsageError(f"{path}: has {len(found)} axes: must have {MOST_AXES} at most")
@@ -132,9 +158,29 @@ def load_fleet(path: Path, job: FleetJob | None = None) -> Fleet:
     _check_names(path, axes)
     _check_order(path, axes)
     _check_places(path, axes)
+    _check_units(path, file, axes)
     return Fleet(
         path, file.name or path.stem, job or file.job, file.confirm, axes, file.zones, file.groups
     )
+
+
+def _file(path: Path) -> FleetFile:
+    """The fleet file; an error counts its axes from 1, and says where it is an axis file."""
+    tree = parse_tree(read_text(path), str(path))
+    if "link" in tree and "axes" not in tree:
+        raise UsageError(
+            f"{path}: is an axis file, and no fleet file",
+            hint=f"'tworelay commission {path}', or name it in the [[axes]] of a fleet file",
+        )
+    try:
+        return validated(tree, FleetFile, str(path))
+    except ProfileError as error:
+        text = re.sub(
+            r"\[axes\.(\d+)([^\]]*)\]",
+            lambda found: f"[[axes]] number {int(found[1]) + 1}{found[2].replace('.', ' ')}:",
+            error.text,
+        )
+        raise ProfileError(text) from None
 
 
 def _entries(path: Path, file: FleetFile, entry: AxisEntry, number: int) -> Iterator[PlannedAxis]:
@@ -159,11 +205,15 @@ def _planned(
     path: Path, file: FleetFile, entry: AxisEntry, axis_file: Path | None, number: int
 ) -> PlannedAxis:
     """One axis: its file, what the entry says above it, the defaults below it."""
-    name = entry.name or (axis_file.stem if axis_file else "")
+    name = _name_of(path, entry, axis_file)
     where = f"{path}: [[axes]] number {number} ({name})"
+    if entry.link is not None:
+        _readable(entry.link, where)
     try:
         of_file = load_axis(axis_file) if axis_file else Axis(name=name)
-    except ProfileError as error:
+        if axis_file and of_file.link and entry.link is None:
+            _readable(of_file.link, str(axis_file))
+    except UsageError as error:
         group, zone = _place(file, where, entry.group, entry.zone)
         return PlannedAxis(
             name, None, Options(), group, zone, tuple(entry.after), entry.serial, broken=error
@@ -181,10 +231,7 @@ def _planned(
     group, zone = _place(file, where, tree.get("group"), tree.get("zone"))
     if entry.gateway is not None and entry.gateway not in file.gateways:
         raise UnknownName(f"gateway in {path}", entry.gateway, list(file.gateways))
-    own = {key: value for key, value in tree.items() if key not in _NO_AXIS}
-    if tree.get("watchdog") is not None:
-        own["limits"] = {**own.get("limits", {}), "watchdog": tree["watchdog"]}
-    axis = validated(own, Axis, where)
+    axis = validated({k: v for k, v in tree.items() if k not in _NO_AXIS}, Axis, where)
     if axis.link is None:
         broken = UsageError(f'{where}: has no link; add link = "modbus-tcp://…"')
         return PlannedAxis(name, None, Options(), group, zone, tuple(entry.after), broken=broken)
@@ -198,13 +245,42 @@ def _planned(
     )  # fmt: skip
 
 
+def _name_of(path: Path, entry: AxisEntry, axis_file: Path | None) -> str:
+    """What an axis is called before its file is read; raises UsageError."""
+    if entry.name is not None:
+        return entry.name
+    assert axis_file is not None
+    try:
+        return axis_name(axis_file.stem)
+    except ValueError as error:
+        raise UsageError(
+            f"{path}: {axis_file!s}: the file's name is the axis' name, which {error}",
+            hint='rename it, or say name = "…" in the fleet file',
+        ) from None
+
+
+def _readable(link: str, where: str) -> None:
+    """Raises UsageError, which says whose link it is."""
+    try:
+        parsed = parse(link)
+        if parsed.scheme == "virtual":
+            check_virtual(parsed)
+    except UsageError as error:
+        raise UsageError(f"{where}: {error.text}", hint=error.hint) from None
+
+
 def _is_virtual(link: str) -> bool:
     return parse(link).scheme == "virtual"
 
 
 def _said(keys: Keys) -> dict[str, Any]:
-    """What stands in the file, and is no default of ours."""
-    return keys.model_dump(exclude_unset=True)
+    """What stands in the file, and is no default of ours; a limit by one name."""
+    tree = keys.model_dump(exclude_unset=True)
+    limits = {**tree.get("limits", {})}
+    for option, limit in LIMITS.items():
+        if option in tree:
+            limits[limit] = tree.pop(option)
+    return {**tree, "limits": limits} if limits else tree
 
 
 def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
@@ -260,25 +336,37 @@ def _check_names(path: Path, axes: Sequence[PlannedAxis]) -> None:
 
 def _check_order(path: Path, axes: Sequence[PlannedAxis]) -> None:
     """`after` names axes of the fleet, and leads nowhere in a circle."""
-    after = {one.name: one.after for one in axes}
+    after = {one.name: set(one.after) for one in axes}
     for one in axes:
         for name in one.after:
             if name not in after:
-                raise UnknownName(f"axis of {path}, after which '{one.name}' is to run", name,
-                                  list(after))  # fmt: skip
-    done: set[str] = set()
+                near = difflib.get_close_matches(name, after, 1)
+                hint = f"; did you mean '{near[0]}'?" if near else ""
+                raise UsageError(
+                    f"{path}: '{one.name}' is to run after '{name}', which is no axis here{hint}"
+                )
+    left = dict(after)
+    while free := [name for name, before in left.items() if not before & left.keys()]:
+        for name in free:
+            del left[name]
+    if left:
+        way = [min(left)]
+        while (before := min(left[way[-1]] & left.keys())) not in way:
+            way.append(before)
+        circle = [*way[way.index(before) :], before]
+        raise UsageError(f"{path}: 'after' leads in a circle: {' after '.join(circle)}")
 
-    def visit(name: str, way: tuple[str, ...]) -> None:
-        if name in way:
-            circle = [*way[way.index(name) :], name]
-            raise UsageError(f"{path}: 'after' leads in a circle: {' after '.join(circle)}")
-        if name not in done:
-            for before in after[name]:
-                visit(before, (*way, name))
-            done.add(name)
 
-    for one in axes:
-        visit(one.name, ())
+def _check_units(path: Path, file: FleetFile, axes: Sequence[PlannedAxis]) -> None:
+    """A length in the defaults is of one kind of axis."""
+    said = _said(file.defaults)
+    named = [key for key in _ONE_UNIT if key in {**said, **said.get("limits", {})}]
+    kinds = {one.axis.position_unit: one.name for one in axes if one.axis is not None}
+    if named and len(kinds) > 1:
+        raise UsageError(
+            f"{path}: {named[0]} in [defaults] would be in rad or N.m for '{kinds['rad']}', and in "
+            f"m or N for '{kinds['m']}': say it for each",
+        )
 
 
 def _check_places(path: Path, axes: Sequence[PlannedAxis]) -> None:

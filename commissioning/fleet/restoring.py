@@ -10,7 +10,7 @@ from commissioning.journal import Journal, RunRecord
 from commissioning.processes import is_alive
 from commissioning.result.fleet import JobState
 from drivers.places import same_place
-from profiles.errors import UnknownName
+from profiles.errors import Refused, UnknownName
 
 __all__ = ["Left", "left_by"]
 
@@ -38,6 +38,14 @@ def left_by(
     record = ledger.record(run)
     attempts = ledger.attempts(record.id)
     known = list(dict.fromkeys(row.axis for row in attempts))
+    for row in attempts:
+        if row.state is JobState.STARTED and row.is_alive:
+            raise Refused(
+                f"axis '{row.axis}' of fleet run {record.id} is still under way (process "
+                f"{row.pid})",
+                code="run.in-progress",
+                hint="wait for it, or 'tworelay fleet stop'",
+            )
     for name in axes:
         if name not in known:
             raise UnknownName(f"axis of fleet run {record.id}", name, known)
@@ -46,16 +54,19 @@ def left_by(
     for row in reversed(attempts):
         if axes and row.axis not in axes:
             continue
-        for one in _runs_of(row, own, journal):
-            whole = everything or bool(axes) or row.state in _CUT_OFF
+        written = everything or bool(axes)
+        for one in _runs_of(row, own, journal, others=not written):
+            whole = written or row.state in _CUT_OFF
             intents = journal.intents(one, open_only=True)
             if any(whole or not intent.lasts for intent in intents):
                 found.setdefault(one, Left(row.axis, one))
     return list(found.values())
 
 
-def _runs_of(row: LedgerRow, own: Sequence[RunRecord], journal: Journal) -> list[str]:
-    """Of an attempt, by its outcome or its process; and what was cut off on its drive."""
+def _runs_of(
+    row: LedgerRow, own: Sequence[RunRecord], journal: Journal, *, others: bool
+) -> list[str]:
+    """Of an attempt, by its outcome or its process; `others`: all that was cut off on its drive."""
     found = [row.run] if row.run else []
     for one in reversed(own):
         of_process = (
@@ -64,7 +75,7 @@ def _runs_of(row: LedgerRow, own: Sequence[RunRecord], journal: Journal) -> list
         )  # fmt: skip
         if of_process and not is_alive(one.context.pid, one.context.started):
             found.append(one.id)
-    if row.serial:
+    if row.serial and others:
         link = next((one.link for one in reversed(own) if one.serial == row.serial), "")
         found += journal.unfinished(row.serial, lambda other: same_place(other, link))
     return list(dict.fromkeys(found))

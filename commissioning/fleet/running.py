@@ -6,22 +6,34 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from commissioning.fleet.board import Board
-from commissioning.fleet.conductor import Conductor, People, seconds_of
+from commissioning.fleet.conductor import Conductor
 from commissioning.fleet.confirming import check_in_advance
 from commissioning.fleet.crew import Crew
 from commissioning.fleet.ledger import Ledger
 from commissioning.fleet.looking import Seen, judged, look_at_all, rules_of, task_of
 from commissioning.fleet.pages import folder_of
+from commissioning.fleet.people import People
 from commissioning.fleet.plan import Fleet
 from commissioning.fleet.schedule import makespan, planned
 from commissioning.fleet.serials import Pins
-from commissioning.fleet.taking_up import again, begin, chosen, only_runner, resume
+from commissioning.fleet.taking_up import (
+    again,
+    begin,
+    chosen,
+    none_under_way,
+    only_runner,
+    resume,
+)
+from commissioning.fleet.time_left import seconds_of
 from commissioning.interruption import Interruption
 from commissioning.result.fleet import FleetResult
 from drivers.home import home
-from profiles.errors import UsageError
+from profiles.errors import TwoRelayError, UsageError
 
 __all__ = ["FleetWishes", "check", "expected", "run"]
+
+
+Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,52 +57,42 @@ class FleetWishes:
 
 def run(
     fleet: Fleet,
-    wanted: FleetWishes,
+    wishes: FleetWishes,
     people: People,
     interruption: Interruption,
     opened: Callable[[str], None],
-) -> FleetResult:
-    """Run a fleet; `opened` gets its id as soon as there is one.
+) -> tuple[FleetResult, TwoRelayError | None]:
+    """Run a fleet; returns it as it ended, and what ended it early. `opened` gets its id.
 
-    Raises
-    ------
-    UsageError, Refused
-        Nothing was begun.
-    JournalError
-        The ledger took no more; what was under way then was finished.
-    Interrupted
-        After what was under way has ended.
+    Raises UsageError, Refused, JournalError where nothing was begun.
     """
-    names = chosen(fleet, wanted.only)
+    names = chosen(fleet, wishes.only)
     _without_gateways(fleet)
     selected = [fleet.axis(name) for name in names]
-    in_advance = check_in_advance(fleet, selected, yes=wanted.yes, terminal=wanted.terminal)
+    in_advance = check_in_advance(fleet, selected, yes=wishes.yes, terminal=wishes.terminal)
     pins = Pins(fleet.path, kept=not fleet.rehearsed)
-    with Ledger(home()) as ledger:
-        if wanted.resume is not None or wanted.again:
-            of_name = fleet.name if wanted.resume in (None, "last") else None
-            run_id = ledger.record(wanted.resume or "last", of_name).id
+    with only_runner(fleet), Ledger(home()) as ledger:
+        none_under_way(fleet, ledger)
+        if wishes.resume is not None or wishes.again:
+            of_name = fleet.name if wishes.resume in (None, "last") else None
+            run_id = ledger.record(wishes.resume or "last", of_name).id
+            if wishes.again:
+                names = again(fleet, ledger, run_id, wishes.again, names)
+            else:
+                names = resume(fleet, ledger, run_id, names)
         else:
             run_id = begin(fleet, ledger, names)
-        with only_runner(run_id):
-            if wanted.again:
-                names = again(fleet, ledger, run_id, wanted.again, names)
-            elif wanted.resume is not None:
-                names = resume(fleet, ledger, run_id, names)
-            opened(run_id)
-            folder_of(run_id).mkdir(parents=True, exist_ok=True)
-            crew = Crew(folder_of(run_id))
-            conductor = Conductor(
-                Board(fleet, ledger, run_id), ledger, crew, people, interruption,
-                pins=pins, at_once=wanted.at_once, in_advance=in_advance,
-            )  # fmt: skip
-            try:
-                with interruption.deferred():
-                    return conductor.run(names)
-            finally:
-                crew.close()
-                if conductor.board.failure is not None:
-                    raise conductor.board.failure
+        opened(run_id)
+        crew = Crew(folder_of(run_id))
+        conductor = Conductor(
+            Board(fleet, ledger, run_id), ledger, crew, people, interruption,
+            pins=pins, at_once=wishes.at_once, in_advance=in_advance,
+        )  # fmt: skip
+        try:
+            result = conductor.run(names)
+        finally:
+            crew.close(lambda: interruption.count)
+        return result, conductor.error
 
 
 def _without_gateways(fleet: Fleet) -> None:
@@ -104,16 +106,17 @@ def _without_gateways(fleet: Fleet) -> None:
 
 def check(
     fleet: Fleet,
-    wanted: FleetWishes,
+    wishes: FleetWishes,
     tell: Callable[[str, Seen], None],
     interruption: Interruption,
+    say: Tell,
     accept: tuple[str, ...] = (),
 ) -> dict[str, Seen]:
     """Look at the axes; nothing is written or moved.
 
     `accept` : axes whose drives were exchanged rightfully: what is there now is pinned
     """
-    names = chosen(fleet, wanted.only)
+    names = chosen(fleet, wishes.only)
     for name in accept:
         fleet.axis(name)
     _without_gateways(fleet)
@@ -124,28 +127,38 @@ def check(
     try:
         seen = look_at_all(
             fleet, [fleet.axis(name) for name in names], crew,
-            rules_of(fleet, wanted.at_once), tell, interruption.check,
+            rules_of(fleet, wishes.at_once), tell, interruption.check,
         )  # fmt: skip
     finally:
-        crew.close()
-    _accept(accept, seen, pins)
+        crew.close(lambda: interruption.count)
+    _accept(accept, seen, pins, say)
     said = {one.name: one.serial for one in fleet.axes if one.serial is not None}
     return judged(seen, {**pins.known, **said})
 
 
-def _accept(names: tuple[str, ...], seen: Mapping[str, Seen], pins: Pins) -> None:
+def _accept(names: tuple[str, ...], seen: Mapping[str, Seen], pins: Pins, tell: Tell) -> None:
+    """Pin what is there now; raises UsageError where another axis has that drive."""
     new = {}
     for name in names:
         looked = seen[name].looked if name in seen else None
         if looked is None:
             raise UsageError(f"--accept-serial {name}: its drive was not seen")
         new[name] = looked.serial
+    after = {**pins.known, **new}
+    for name, serial in new.items():
+        others = [other for other, its in after.items() if its == serial and other != name]
+        if others:
+            raise UsageError(
+                f"--accept-serial {name}: {serial} is the drive of '{others[0]}': accept both, or "
+                "say which is right"
+            )
     if not new:
         return
     with Ledger(home()) as ledger:
         for name, serial in new.items():
             before = pins.known.get(name, "none")
             ledger.note("", f"serial accepted: {serial}, was {before}", name)
+            tell(f"'{name}': serial {serial} is its drive from now on, was {before}")
     pins.pin(new)
 
 

@@ -9,7 +9,7 @@ import heapq
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-__all__ = ["Rules", "Task", "makespan", "planned", "startable"]
+__all__ = ["Rules", "Task", "makespan", "obstacle", "planned", "startable"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +81,30 @@ def startable(
             taken.append(task)
             found.append(task)
     return found
+
+
+def obstacle(
+    task: Task,
+    running: Sequence[Task],
+    done: Collection[str],
+    *,
+    paused: Collection[str] = (),
+    late: bool = False,
+) -> str:
+    """What a task waits for, in a few words."""
+    if task.zone in paused:
+        return f"zone '{task.zone}' is paused"
+    for name in task.after:
+        if name not in done:
+            return f"runs after '{name}'"
+    for other in running:
+        if task.group and task.group == other.group:
+            return f"'{other.name}' of its group is under way"
+        if task.bus and task.bus == other.bus:
+            return f"'{other.name}' has its bus"
+    if late and not task.stepping:
+        return "a cycle comes late: nothing starts beside it"
+    return "as many are under way as may be" if running else ""
 
 
 def _fits(task: Task, running: Sequence[Task], rules: Rules) -> bool:

@@ -26,20 +26,24 @@ def stop_run(folder: Path, run: str, *, drain: bool) -> Iterator[str]:
     """
     with Ledger(folder) as ledger:
         record = ledger.record(run)
-        if record.state not in _OVER and record.is_alive:
+        is_led = record.state not in _OVER and record.is_alive
+        if is_led:
             ledger.ask(record.id, "drain" if drain else "stop")
             yield f"fleet run {record.id}: its runner (process {record.pid}) is told"
             if drain:
                 return
         else:
             yield f"fleet run {record.id}: {record.state}; no runner is under way"
+            for row in ledger.rows(record.id).values():
+                if row.state is JobState.GRANTED:
+                    ledger.revoke(record.id, row.axis, row.attempt, "'tworelay fleet stop'")
             for row in _moving(ledger, record.id):
                 yield f"'{row.axis}': its process {row.pid} is told to stop"
                 _interrupt(row)
         until = time.monotonic() + _PATIENCE
-        while left := _moving(ledger, record.id):
+        while (left := _moving(ledger, record.id)) or (is_led and _goes_on(ledger, record.id)):
             if time.monotonic() > until:
-                names = ", ".join(row.axis for row in left)
+                names = ", ".join(row.axis for row in left) or "its runner"
                 raise LinkError(
                     f"still under way: {names}",
                     code="stop.not-verified",
@@ -53,6 +57,12 @@ def stop_run(folder: Path, run: str, *, drain: bool) -> Iterator[str]:
                     "safe, 'tworelay fleet restore' puts its settings back"
                 )
         yield "nothing of it moves"
+
+
+def _goes_on(ledger: Ledger, run: str) -> bool:
+    """Whether its runner has not ended yet."""
+    record = ledger.record(run)
+    return record.state not in _OVER and record.is_alive
 
 
 def _moving(ledger: Ledger, run: str) -> list[LedgerRow]:

@@ -13,10 +13,9 @@ from commissioning.fleet.ledger import Ledger, LedgerRow
 from commissioning.fleet.plan import Fleet, PlannedAxis, differences
 from commissioning.locks import Taken, take
 from commissioning.result.fleet import FAILED, MAY_RESUME, JobState
-from drivers.home import home
 from profiles.errors import Refused, UnknownName, UsageError
 
-__all__ = ["again", "begin", "chosen", "only_runner", "resume", "settle_the_dead"]
+__all__ = ["again", "begin", "chosen", "none_under_way", "only_runner", "resume", "settle_the_dead"]
 
 _DIFFERENCES = 3  # shown
 
@@ -30,6 +29,8 @@ def chosen(fleet: Fleet, only: str | None) -> tuple[str, ...]:
     if only is None:
         return everything
     parts = [part.strip() for part in only.split(",") if part.strip()]
+    if not parts:
+        raise UsageError(f"--only '{only}': names no axis; leave it away for all of them")
     wanted = [part for part in parts if not part.startswith("!")]
     taken = set(everything) if not wanted else set()
     for part in wanted:
@@ -73,14 +74,18 @@ def begin(fleet: Fleet, ledger: Ledger, names: Sequence[str]) -> str:
 
 
 @contextlib.contextmanager
-def only_runner(run: str) -> Generator[None]:
-    """The one runner of a fleet run, on this machine; raises Refused."""
+def only_runner(fleet: Fleet) -> Generator[None]:
+    """The one runner of a fleet file on this machine: groups and zones are its own.
+
+    Raises Refused.
+    """
+    twins = " on twins" if fleet.rehearsed else ""
+    name = hashlib.sha256(f"{fleet.path.resolve()}{twins}".encode()).hexdigest()[:20]
     try:
-        name = hashlib.sha256(f"{home().resolve()} {run}".encode()).hexdigest()[:20]
-        lock = take(f"fleet-{name}", f"fleet run {run}")
+        lock = take(f"fleet-{name}", f"fleet {fleet.name}")
     except Taken as taken:
         raise Refused(
-            f"fleet run {run} is under way ({taken.owner})",
+            f"a run of {fleet.path} is under way ({taken.owner})",
             code="run.in-progress",
             hint="'tworelay fleet status' shows it, 'tworelay fleet stop' ends it",
         ) from None
@@ -88,6 +93,17 @@ def only_runner(run: str) -> Generator[None]:
         yield
     finally:
         lock.release()
+
+
+def none_under_way(fleet: Fleet, ledger: Ledger) -> None:
+    """Raise Refused while a process of an earlier run of this fleet still moves an axis."""
+    for run, row in ledger.under_way(fleet.name):
+        raise Refused(
+            f"axis '{row.axis}' of fleet run {run} is still under way (process {row.pid}), though "
+            "its runner is gone",
+            code="run.in-progress",
+            hint="wait for it, or 'tworelay fleet stop'",
+        )
 
 
 def resume(fleet: Fleet, ledger: Ledger, run: str, names: Sequence[str]) -> tuple[str, ...]:
@@ -116,13 +132,8 @@ def again(
     for name in which:
         if name != "failed" and name not in known:
             raise UnknownName("axis of the fleet", name, [*known, "failed"])
-    rows = _taken_over(fleet, ledger, run)
-    wanted = [
-        name
-        for name, row in rows.items()
-        if name in names and (name in which or ("failed" in which and row.state in FAILED))
-    ]
-    waiting = [name for name in wanted if rows[name].state in MAY_RESUME]
+    rows = ledger.rows(run)
+    waiting = [n for n in which if n in rows and rows[n].state in (*MAY_RESUME, JobState.SKIPPED)]
     if waiting:
         raise Refused(
             f"'{waiting[0]}' has not been started in fleet run {run} (it is "
@@ -130,6 +141,12 @@ def again(
             code="fleet.not-started",
             hint="--resume goes on with those that were not started",
         )
+    rows = _taken_over(fleet, ledger, run)
+    wanted = [
+        name
+        for name, row in rows.items()
+        if name in names and (name in which or ("failed" in which and row.state in FAILED))
+    ]
     ledger.again(run, {name: rows[name].attempt for name in wanted})
     return tuple(wanted)
 

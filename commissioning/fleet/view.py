@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from datetime import datetime
 
 from commissioning.fleet.ledger import FleetRecord, Ledger, LedgerRow, Place
+from commissioning.fleet.plan import Fleet
 from commissioning.result.document import Tool
 from commissioning.result.fleet import (
     ENDED,
@@ -17,7 +18,7 @@ from commissioning.result.fleet import (
     JobState,
 )
 
-__all__ = ["by_the_ledger", "iso", "view"]
+__all__ = ["by_the_ledger", "iso", "not_begun", "view"]
 
 _ABANDONED = (
     "its runner is gone: 'tworelay fleet run FLEET --resume' goes on, 'tworelay fleet restore' "
@@ -45,16 +46,34 @@ def view(
     )  # fmt: skip
 
 
+def not_begun(fleet: Fleet, why: str, tool: Tool | None) -> FleetResult:
+    """A fleet run that was refused before there was one."""
+    axes = tuple(
+        FleetAxis(one.name, JobState.PLANNED, 1, one.link, one.group, one.zone)
+        for one in fleet.axes
+    )
+    return FleetResult(
+        FLEET_SCHEMA, "", fleet.name, fleet.job, str(fleet.path), FleetState.STOPPED, tool,
+        rehearsed=fleet.rehearsed, axes=axes, notes=(why,),
+    )  # fmt: skip
+
+
 def by_the_ledger(ledger: Ledger, run: str, tool: Tool | None) -> FleetResult:
     """A fleet run as its ledger has it now; nothing is changed there."""
     record = ledger.record(run)
-    axes = [_axis(row, record.place(row.axis)) for row in ledger.rows(record.id).values()]
+    rows = ledger.rows(record.id)
+    axes = [_axis(row, record.place(row.axis)) for row in rows.values()]
     over = record.state in (FleetState.FINISHED, FleetState.STOPPED)
     notes: tuple[str, ...] = ()
     state = record.state
     if not over and not record.is_alive:
         state = FleetState.STOPPED
-        notes = (_ABANDONED,)
+        moving = [row for row in rows.values() if row.state is JobState.STARTED and row.is_alive]
+        notes = tuple(
+            f"its runner is gone, and process {row.pid} still moves '{row.axis}': wait for it, or "
+            "'tworelay fleet stop'"
+            for row in moving
+        ) or (_ABANDONED,)
     return view(record, axes, state, tool, notes=notes, rehearsed=record.rehearsed)
 
 

@@ -8,6 +8,7 @@ from importlib.resources import files
 import jinja2
 
 from commissioning.result import words
+from commissioning.result.found import Quantity
 from profiles.plain import plain
 
 __all__ = ["template"]
@@ -22,9 +23,16 @@ def template(name: str) -> jinja2.Template:
     )  # fmt: skip
     environment.filters |= {
         "si": _si, "seconds": words.duration, "brief": _brief, "remaining": words.remaining,
+        "found": _found,
     }  # fmt: skip
     environment.tests |= {"search": lambda text, part: part in text}
     return environment.from_string((files("commissioning.report") / name).read_text("utf-8"))
+
+
+def _found(quantity: Quantity) -> str:
+    """A number to what it is uncertain by, with its unit."""
+    of = words.unit(quantity.unit)
+    return words.measured(quantity.value, quantity.low, quantity.high, of)
 
 
 def _brief(value: float | None) -> str:

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 from pydantic import ConfigDict
 
-from commissioning.result.changes import Change
+from commissioning.result.changes import Change, Written
 from commissioning.result.document import Tool
 from commissioning.result.endings import Error
 from commissioning.result.found import Quantity
@@ -71,9 +71,7 @@ FAILED = frozenset(
         JobState.WRITE_INCOMPLETE, JobState.STOPPED, JobState.UNKNOWN,
     }
 )  # fmt: skip
-MAY_RESUME = frozenset(
-    {JobState.PLANNED, JobState.WAITING, JobState.BLOCKED, JobState.REVOKED, JobState.SKIPPED}
-)
+MAY_RESUME = frozenset({JobState.PLANNED, JobState.WAITING, JobState.BLOCKED, JobState.REVOKED})
 ENDED = FAILED | {JobState.DONE, JobState.BLOCKED, JobState.SKIPPED, JobState.REVOKED}
 OF_EXIT_CODE = {
     0: JobState.DONE, 2: JobState.REFUSED, 3: JobState.REFUSED, 4: JobState.LINK,
@@ -121,6 +119,7 @@ class Outcome:
     ----------
     run : of the journal; None where none was begun
     verdict : of the measurement, in words
+    changes : what was proposed; `written`: what of it, or before it, is in the drive at the end
     before, after : error after reversals, peak, in `position_unit`; None: not proved
     percent : by how much it has fallen
     ending : the line of truth: axis, settings, what is in the drive
@@ -137,6 +136,7 @@ class Outcome:
     viscous: Quantity | None = None
     inertia: Quantity | None = None
     changes: tuple[Change, ...] = ()
+    written: tuple[Written, ...] = ()
     position_unit: Literal["rad", "m"] = "rad"
     before: Finite | None = None
     after: Finite | None = None
@@ -147,10 +147,9 @@ class Outcome:
     seconds: Finite = 0.0
     sha256: Text | None = None
 
-    @property
-    def changed(self) -> tuple[Change, ...]:
-        """Parameters that are, or would be, another value than before."""
-        return tuple(one for one in self.changes if one.new_raw != one.old_raw)
+    def in_drive(self, change: Change) -> Written | None:
+        """What the drive has of a change, at the end; None: what it had before."""
+        return next((one for one in self.written if one.parameter == change.parameter), None)
 
 
 @dataclass(frozen=True, slots=True)

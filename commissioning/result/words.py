@@ -27,6 +27,7 @@ __all__ = [
     "helps",
     "host_law",
     "interval",
+    "measured",
     "nothing_proposed",
     "number",
     "remaining",
@@ -70,6 +71,14 @@ VERDICTS = {
 def number(value: float | None, of: str = "") -> str:
     """Four digits and the unit, or a dash."""
     return "–" if value is None else f"{value:.4g} {of}".rstrip()
+
+
+def measured(value: float, low: float | None, high: float | None, of: str = "") -> str:
+    """A value to two digits of what it is uncertain by, and the unit."""
+    if low is None or high is None or not high > low:
+        return number(value, of)
+    digits = 1 - floor(log10((high - low) / 2))
+    return f"{round(value, digits) + 0.0:.6g} {of}".rstrip()
 
 
 def unit(ascii_name: str) -> str:

@@ -68,6 +68,7 @@ class Wishes:
     max_speed: float | None = None
     cycle: float | None = None
     without_watchdog: bool = False
+    max_torque: float | None = None
 
 
 def verify(
@@ -209,7 +210,7 @@ def _options(result: RunResult, wishes: Wishes, *, adopted: bool) -> Options:
     return Options(
         travel=wishes.travel or (limits.travel if limits else None),
         max_speed=wishes.max_speed or (limits.speed if limits else None),
-        max_torque=limits.torque if limits else None,
+        max_torque=wishes.max_torque or (limits.torque if limits else None),
         cycle=wishes.cycle or (was.cycle if was else None),
         without_watchdog=wishes.without_watchdog,
     )

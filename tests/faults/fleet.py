@@ -334,10 +334,10 @@ def held(rig: Rig, case: Case) -> None:
             assert states[name] not in _NOT_STARTED, f"'{name}' moved, and is {states[name]}"
     code, _ = rig.call("run", str(rig.file), "--resume", *options)
     states, moved = rig.states(), rig.moved()
-    unknown = any(states[name] is JobState.UNKNOWN for name in "ab")
+    in_the_way = any(states[name] in FAILED for name in "ab")
     for name in NAMES:
         assert moved[name] <= 1, f"resumed: '{name}' moved {moved[name]} times: {states}"
-        waits = states[name] is JobState.BLOCKED and name in "ab" and unknown
+        waits = states[name] is JobState.BLOCKED and name in "ab" and in_the_way
         fine = states[name] is JobState.DONE or states[name] in FAILED or waits
         assert fine, f"resumed: '{name}' is {states[name]}"
     assert code == (0 if set(states.values()) == {JobState.DONE} else 9) or (

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import deque
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from commissioning.errors import JournalError
 from commissioning.fleet.board import Board
 from commissioning.fleet.conductor import Conductor
 from commissioning.fleet.ledger import Ledger
 from commissioning.fleet.messages import Looked, Order, Report
+from commissioning.fleet.people import Answer, Ask
 from commissioning.fleet.plan import Fleet, load_fleet
 from commissioning.fleet.serials import Pins
 from commissioning.fleet.taking_up import begin
@@ -82,7 +85,8 @@ class FakeCrew:
         worker, report = self._said.popleft()
         order = next((o for o in reversed(self.orders) if o.name == worker.busy), None)
         if order is not None and report is not None and report.kind != "void":
-            self.ledger.start(order.fleet_run, order.name, order.attempt)
+            with contextlib.suppress(JournalError):
+                self.ledger.start(order.fleet_run, order.name, order.attempt)
         return worker, report
 
     def say(self, name: str, *reports: Report | None) -> None:
@@ -99,7 +103,7 @@ class FakeCrew:
 
 
 class FakePeople:
-    def __init__(self, answers: dict[str, bool]) -> None:
+    def __init__(self, answers: dict[str, Answer]) -> None:
         self.answers = answers
         self.asked: list[tuple[str, str]] = []
         self.told: list[str] = []
@@ -107,7 +111,7 @@ class FakePeople:
     def tell(self, text: str) -> None:
         self.told.append(text)
 
-    def ask(self, text: str, word: str) -> Callable[[], bool | None]:
+    def ask(self, text: str, word: str) -> Ask:
         self.asked.append((word, text))
         return lambda: self.answers.get(word)
 

@@ -8,12 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from commissioning.errors import Interrupted
+from commissioning.errors import Interrupted, JournalError
 from commissioning.fleet.messages import Report
+from commissioning.fleet.people import Answer
+from commissioning.fleet.taking_up import again, resume
 from commissioning.result.endings import Error
 from commissioning.result.fleet import FAILED, FleetState, JobState, Outcome
 from tests.fleet.crew import Stage, failed, good
 
+YES, NO = Answer.YES, Answer.NO
 MakeStage = Callable[[str], Stage]
 HEAD = 'job = "commission"\nconfirm = "{0}"\n'
 
@@ -101,7 +104,7 @@ def test_one_word_for_a_group_and_one_for_each_without(stage: MakeStage) -> None
         + '[[axes]]\nname = "c"\nlink = "virtual://bench?seed=9"\n'
     )
     one.in_advance = None
-    one.people.answers = {"g": True, "c": False}
+    one.people.answers = {"g": YES, "c": NO}
     one.run()
     assert [word for word, _ in one.people.asked] == ["g", "c"]
     question = one.people.asked[0][1]
@@ -118,7 +121,7 @@ def test_one_word_for_a_group_and_one_for_each_without(stage: MakeStage) -> None
 def test_each_is_asked_for_alone(stage: MakeStage) -> None:
     one = stage(text("ab", "[groups.g]\n", "each", 'group = "g"\n'))
     one.in_advance = None
-    one.people.answers = {"a": True, "b": True}
+    one.people.answers = {"a": YES, "b": YES}
     one.run()
     assert [word for word, _ in one.people.asked] == ["a", "b"]
 
@@ -128,7 +131,7 @@ def test_what_starts_later_than_a_quarter_of_an_hour_is_asked_for_again(
 ) -> None:
     one = stage(text("ab", "[groups.g]\n", keys='group = "g"\n'))
     one.in_advance = None
-    one.people.answers = {"g": True, "b": True}
+    one.people.answers = {"g": YES, "b": YES}
     one.does["a"] = []
 
     def end() -> None:
@@ -144,11 +147,11 @@ def test_what_starts_later_than_a_quarter_of_an_hour_is_asked_for_again(
 def test_while_nobody_answers_what_runs_goes_on(stage: MakeStage) -> None:
     one = stage(text("ab"))
     one.in_advance = None
-    one.people.answers = {"a": True}
+    one.people.answers = {"a": YES}
 
     def answer() -> None:
         assert one.states()["a"] == "done"
-        one.people.answers["b"] = True
+        one.people.answers["b"] = YES
 
     one.steps[100] = answer
     one.run()
@@ -166,7 +169,7 @@ def test_an_emergency_stop_pauses_its_zone_until_a_word_is_typed(stage: MakeStag
     one.at_once = 1
     one.does["a"] = failed(JobState.FAULT, "drive.left")
     one.in_advance = None
-    one.people.answers = {"a": True, "z": True, "b": True}
+    one.people.answers = {"a": YES, "z": YES, "b": YES}
     result = one.run()
     words = [word for word, _ in one.people.asked]
     assert words.index("z") > words.index("a")
@@ -207,6 +210,65 @@ def test_an_ordinary_fault_pauses_nothing(stage: MakeStage) -> None:
     one.does["a"] = failed(JobState.FAULT, "drive.fault")
     one.run()
     assert one.states() == {"a": "fault", "b": "done"}
+
+
+def lost(name: str) -> list[Report | None]:
+    """The link was lost in motion, and nobody knows whether the axis is at rest."""
+    outcome = Outcome(error=Error("link.lost", "lost"), ending=f"{name} NOT VERIFIED")
+    return [Report("ended", state=JobState.LINK, outcome=outcome, error=outcome.error)]
+
+
+def test_beside_an_axis_that_may_still_move_nothing_starts_in_its_zone(stage: MakeStage) -> None:
+    one = stage(text("ab", ZONE, keys='zone = "z"\n'))
+    one.at_once = 1
+    one.does["a"] = lost("a")
+    one.in_advance = None
+    one.people.answers = {"a": YES, "z": NO}
+    one.run()
+    assert one.states() == {"a": "link", "b": "blocked"}
+    assert any("NOT VERIFIED" in line for line in one.people.told)
+
+
+def test_and_not_in_its_group_either_which_else_would_go_on(stage: MakeStage) -> None:
+    one = stage(text("ab", '[groups.g]\non_failure = "go-on"\n', keys='group = "g"\n'))
+    one.does["a"] = lost("a")
+    one.run()
+    assert one.states() == {"a": "link", "b": "blocked"}
+
+
+def test_a_group_stays_blocked_as_long_as_one_of_it_has_failed(stage: MakeStage) -> None:
+    one = stage(text("ab", "[groups.g]\n", keys='group = "g"\n'))
+    one.does["a"] = failed(JobState.REJECTED)
+    one.run()
+    assert one.states() == {"a": "rejected", "b": "blocked"}
+    one.run(resume(one.fleet, one.ledger, one.run_id, "ab"))
+    assert one.states() == {"a": "rejected", "b": "blocked"}
+    one.does["a"] = good()
+    one.run(again(one.fleet, one.ledger, one.run_id, ["a"], "ab"))
+    assert one.states() == {"a": "done", "b": "blocked"}
+    one.run(resume(one.fleet, one.ledger, one.run_id, "ab"))
+    assert one.states() == {"a": "done", "b": "done"}
+
+
+def test_when_the_terminal_is_gone_nothing_more_starts(stage: MakeStage) -> None:
+    one = stage(text("ab"))
+    one.in_advance = None
+    one.people.answers = {"a": Answer.NOBODY}
+    one.run()
+    assert one.states() == {"a": "waiting", "b": "waiting"}
+
+
+def test_what_waits_says_for_what(stage: MakeStage) -> None:
+    one = stage(text("ab", "[groups.g]\n", keys='group = "g"\n'))
+    one.does["a"] = []
+
+    def look() -> None:
+        waiting = next(axis for axis in one.people.last.axes if axis.name == "b")
+        assert waiting.doing == "'a' of its group is under way"
+        one.crew.say("a", *good())
+
+    one.steps[60] = look
+    one.run()
 
 
 # -- interruptions --------------------------------------------------------------------------------
@@ -250,6 +312,57 @@ def test_somebody_else_can_end_it(stage: MakeStage, request_: str, interrupted: 
     assert one.crew.interrupted == interrupted
     assert result.state is FleetState.STOPPED
     assert one.states()["b"] == "waiting"
+
+
+def test_two_signals_at_once_are_two(stage: MakeStage) -> None:
+    one = stage(text("ab"))
+    one.at_once = 1
+    one.does["a"] = []
+
+    def twice() -> None:
+        for _ in range(2):
+            one.interruption._on_signal(signal.SIGINT, None)
+
+    one.steps[10] = twice
+    one.steps[60] = lambda: one.crew.say("a", *failed(JobState.STOPPED))
+    with pytest.raises(Interrupted):
+        one.run()
+    assert one.crew.interrupted == ["a"]
+
+
+def test_a_stop_after_a_drain_is_heard(stage: MakeStage) -> None:
+    one = stage(text("ab"))
+    one.at_once = 1
+    one.does["a"] = []
+    one.steps[10] = lambda: one.ledger.ask(one.run_id, "drain")
+    one.steps[40] = lambda: one.ledger.ask(one.run_id, "stop")
+    one.steps[80] = lambda: one.crew.say("a", *failed(JobState.STOPPED))
+    one.run()
+    assert one.crew.interrupted == ["a"]
+    assert "fleet stop" in one.ledger.rows(one.run_id)["a"].why
+
+
+def test_a_ledger_that_fails_starts_nothing_more_and_hears_ctrl_c(stage: MakeStage) -> None:
+    one = stage(text("ab"))
+    one.at_once = 1
+    one.does["a"] = []
+
+    def fail() -> None:
+        def full(*_arguments: object, **_keywords: object) -> None:
+            raise JournalError("the disk is full")
+
+        for name in ("request", "move", "end", "set_state", "explain"):
+            setattr(one.ledger, name, full)
+
+    one.steps[10] = fail
+    for at in (30, 40):
+        one.steps[at] = lambda: one.interruption._on_signal(signal.SIGINT, None)
+    one.steps[60] = lambda: one.crew.say("a", *failed(JobState.STOPPED))
+    with pytest.raises(Interrupted):
+        one.run()
+    assert one.crew.interrupted == ["a"]
+    assert isinstance(one.conductor.error, JournalError)
+    assert [order.name for order in one.crew.orders] == ["a"]
 
 
 # -- workers that die -----------------------------------------------------------------------------

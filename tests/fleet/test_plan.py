@@ -60,6 +60,15 @@ BAD = {
         ('[[axes]]\nname = "a"\nlink = "modbus-tcp://127.0.0.1:502?unit=1"\n'
         '[[axes]]\nname = "b"\nlink = "modbus-tcp://localhost?unit=1"\n'), "one drive", "",
     ),
+    "a group without a name": ('[groups.""]\n' + TWO + 'group = ""\n', "must not be empty", ""),
+    "rad and m": (
+        "[defaults]\nmax_speed = 1.0\n" + TWO + '[[axes]]\nname = "l"\nlink = "virtual://emps"\n',
+        "rad or N.m for 'b', and in m or N for 'l'", "speed",
+    ),
+    "a link that is none": (
+        TWO + '[[axes]]\nname = "c"\nlink = "virtal://x"\n', "number 3 (c)", "no link",
+    ),
+    "an option that is none": (AXIS.format("a", 1).replace("seed", "sed"), "number 1 (a)", "sed"),
     "no number of repeats": (TWO + "repeat = 0\n", "repeat", "greater than or equal to 1"),
     "no method": (TWO + 'method = "magic"\n', "method", "auto"),
 }  # fmt: skip
@@ -109,6 +118,34 @@ def test_who_says_more_closely_is_right(tmp_path: Path) -> None:
     assert (limits.torque, limits.speed, limits.duration) == (0.4, 9.0, 60.0)
 
 
+@pytest.mark.parametrize(
+    ("file", "entry", "default", "torque"),
+    [
+        ("[limits]\ntorque = 0.3\n", "", "max_torque = 1.0\n", 0.3),
+        ("[limits]\ntorque = 0.3\n", "max_torque = 0.2\n", "", 0.2),
+        ("", "limits = { torque = 0.2 }\n", "max_torque = 1.0\n", 0.2),
+        ("", "", "max_torque = 1.0\n", 1.0),
+    ],
+)
+def test_a_limit_is_one_by_whichever_name(
+    file: str, entry: str, default: str, torque: float, tmp_path: Path
+) -> None:
+    """`max_torque` of a job and `limits.torque` of an axis are one quantity."""
+    (tmp_path / "x.toml").write_text('link = "virtual://bench"\n' + file)
+    found = fleet(tmp_path, f'[defaults]\n{default}[[axes]]\nfile = "x.toml"\n{entry}')
+    (one,) = found.axes
+    assert one.axis is not None
+    assert one.axis.limits.torque == torque
+    assert one.options.max_torque is None
+
+
+def test_a_thousand_axes_one_after_the_other(tmp_path: Path) -> None:
+    text = AXIS.format("a0", 0)
+    for n in range(1, 1000):
+        text += AXIS.format(f"a{n}", n) + f'after = ["a{n - 1}"]\n'
+    assert len(fleet(tmp_path, text).axes) == 1000
+
+
 def test_groups_of_file_and_entry_agree(tmp_path: Path) -> None:
     (tmp_path / "x.toml").write_text('link = "virtual://bench"\ngroup = "g"\n')
     entry = '[groups.g]\n[groups.h]\n[[axes]]\nfile = "x.toml"\n'
@@ -149,7 +186,7 @@ def test_only_names_globs_groups_and_zones(only: str, names: str, tmp_path: Path
     assert "".join(chosen(found, only)) == names
 
 
-@pytest.mark.parametrize("only", ["d", "group=h", "zone=y", "a,!a", "!d"])
+@pytest.mark.parametrize("only", ["", " , ", "d", "group=h", "zone=y", "a,!a", "!d"])
 def test_only_what_is_there(only: str, tmp_path: Path) -> None:
     with pytest.raises(TwoRelayError):
         chosen(fleet(tmp_path, TWO), only)

@@ -105,12 +105,23 @@ def test_again_is_a_new_attempt_and_resume_what_was_not_started(
     assert ("jammed", 1, "rejected") in attempts
     assert ("jammed", 2, "rejected") in attempts
     assert ("good", 1, "skipped") in attempts
-    code, said, _ = run("run", str(line), "--resume", "--only", "good")
+    code, said, _ = run("run", str(line), "--resume")
     assert code == 9
-    assert "good: done" in said
+    assert "good" in said
+    assert _states(state_folder)["good"] == "skipped", "nobody has asked for it"
+    code, _, errors = run("run", str(line), "--again", "good")
+    assert code == 3
+    assert "nothing to do again" in errors
+    assert "its runner is gone" not in run("status")[1]
     code, _, errors = run("run", str(line), "--again", "nobody")
     assert code == 2
     assert "nobody" in errors
+
+
+def _states(home: Path) -> dict[str, str]:
+    with Ledger(home, reading=True) as ledger:
+        rows = ledger.rows(ledger.record("last").id)
+    return {name: str(row.state) for name, row in rows.items()}
 
 
 def test_exchanged_drives_are_both_refused(line: Path) -> None:
@@ -121,8 +132,12 @@ def test_exchanged_drives_are_both_refused(line: Path) -> None:
     assert code == 3
     assert "'good' and 'beside' are exchanged" in said
     assert errors == ""
+    code, _, errors = run("check", str(line), "--only", "good,beside", "--accept-serial", "good")
+    assert code == 2
+    assert "is the drive of 'beside': accept both" in errors
     code, said, _ = run("check", str(line), "--only", "good,beside", "--accept-serial", "good",
                         "--accept-serial", "beside")  # fmt: skip
+    assert "is its drive from now on, was" in said
     assert code == 0
     assert "2 of 2 axes can be moved" in said
 
@@ -147,10 +162,14 @@ def test_nothing_real_moves_without_somebody_who_sees_it(
     monkeypatch.setenv("CI", ci)
     path = tmp_path / "line.toml"
     path.write_text(f'job = "identify"\nconfirm = "{confirm}"\n' + REAL)
-    exit_code, _, errors = run("run", str(path), *options)
+    out = tmp_path / "out.json"
+    exit_code, _, errors = run("run", str(path), *options, "--json", str(out))
     assert exit_code == 3
     assert code in errors
     assert errors.count("\n") == 1
+    tree = json.loads(out.read_text())
+    jsonschema.validate(tree, fleet_schema())
+    assert code in tree["notes"][0]
     assert not (state_folder / "fleets").exists()
 
 
@@ -273,3 +292,41 @@ def test_a_runner_that_is_killed_leaves_an_account(tmp_path: Path, state_folder:
         states = {str(row.state) for row in ledger.rows(of_run.id).values()}
     assert states == {"done"}
     assert code == 0
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sends SIGINT")
+def test_one_run_of_a_fleet_file_at_a_time_and_it_can_be_stopped(
+    tmp_path: Path, state_folder: Path
+) -> None:
+    path = tmp_path / "line.toml"
+    path.write_text(HEAD + "".join(AXIS.format(f"a{n}", f"seed={n}") for n in range(30)))
+    with running("fleet", "run", str(path), "--at-once", "1") as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if "a0: started" in line:
+                break
+        code, _, errors = run("run", str(path), "--only", "a20")
+        assert code == 3
+        assert "is under way" in errors
+        code, said, _ = run("stop")
+        assert code == 0
+        assert said.endswith("nothing of it moves\n")
+        states = _states(state_folder)
+        assert not {"granted", "started"} & set(states.values())
+        assert process.wait(60) in (3, 9)
+    stopped = [name for name, state in states.items() if state == "stopped"]
+    with Ledger(state_folder, reading=True) as ledger:
+        rows = ledger.rows(ledger.record("last").id)
+    assert all("fleet stop" in rows[name].why for name in stopped)
+
+
+def test_files_that_are_taken_for_each_other(tmp_path: Path) -> None:
+    axis, fleet = tmp_path / "x.toml", tmp_path / "line.toml"
+    axis.write_text('link = "virtual://bench"\n')
+    fleet.write_text(HEAD + AXIS.format("good", GOOD))
+    code, _, errors = run("check", str(axis))
+    assert code == 2
+    assert "is an axis file" in errors
+    done = in_this_process("identify", str(fleet), "--yes")
+    assert done.returncode == 2
+    assert "is a fleet file" in done.stderr

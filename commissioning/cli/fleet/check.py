@@ -50,13 +50,13 @@ def command(
 
     check_json(json_target)
     screen = Screen(json_target, yes=False)
-    wanted = FleetWishes(only, at_once)
-    sys.exit(looked_at(load_fleet(fleet, job), wanted, screen, json_target, accept=accept))
+    wishes = FleetWishes(only, at_once)
+    sys.exit(looked_at(load_fleet(fleet, job), wishes, screen, json_target, accept=accept))
 
 
 def looked_at(
     plan: Fleet,
-    wanted: FleetWishes,
+    wishes: FleetWishes,
     screen: Screen,
     json_target: str | None,
     *,
@@ -73,12 +73,12 @@ def looked_at(
         screen.say(f"  {name}: {found.looked.identity if found.looked else 'not to be moved'}")
 
     with Interruption() as interruption:
-        seen = check(plan, wanted, tell, interruption, accept)
+        seen = check(plan, wishes, tell, interruption, screen.say, accept)
     ready = tuple(one.name for one in plan.axes if one.name in seen and not seen[one.name].error)
-    begins, seconds = expected(plan, ready, wanted.at_once)
+    begins, seconds = expected(plan, ready, wishes.at_once)
     order = [*begins, *(name for name in seen if name not in begins)]
     rows = [_row(plan.axis(name), seen[name], begins.get(name)) for name in order]
-    columns = ["axis", "begins", "state", "serial", "profile", "bus", "travel", "torque", ""]
+    columns = ["axis", "begins", "state", "serial", "profile", "group", "travel", "torque", "what"]
     screen.table(f"{plan.name}: {plan.job}, in this order", columns, rows, of_words=True)
     if with_writes:
         for name in ready:
@@ -107,7 +107,7 @@ def _row(axis: PlannedAxis, found: Seen, begins: float | None) -> list[str]:
         "can be moved" if found.error is None else str(found.state),
         looked.serial if looked else "",
         looked.profile if looked else "",
-        axis.bus,
+        " ".join(filter(None, (axis.group, axis.zone and f"({axis.zone})"))),
         f"±{room.travel:.4g} {room.position_unit}" if room else "",
         f"{room.torque:.4g} {room.effort_unit}" if room else "",
         found.error.text if found.error else "",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import subprocess
-import sys
 import tempfile
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack
@@ -14,17 +13,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from commissioning.cli.fleet.run import conducted, run_options, write_outputs
+from commissioning.cli.fleet.run import Outputs, check_outputs, conduct, run_options
 from commissioning.cli.options import verbose
-from commissioning.cli.terminal import Screen, check_json
+from commissioning.cli.terminal import Screen
 from drivers.errors import LinkError
 
 if TYPE_CHECKING:
     from commissioning.result.fleet import FleetJob
 
 __all__ = ["command", "served"]
-
-_NOTHING_STARTED = 3
 
 
 @click.command("rehearse")
@@ -50,22 +47,17 @@ def command(
     from commissioning.fleet.twins import on_twins, twins_of
     from drivers.home import home
 
-    for target in (junit, json_target, csv_target):
-        check_json(target)
+    check_outputs(junit, json_target, csv_target)
     screen = Screen(json_target, yes=True)
     plan = load_fleet(fleet, job)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         twins = twins_of(plan, folder)
         links = stack.enter_context(served(fleet, len(twins.names))) if twins.names else []
-        on_loopback = on_twins(plan, twins, links)
         os.environ["TWORELAY_HOME"] = str(home() / "rehearsal")
-        wanted = FleetWishes(only, at_once, yes=True)
-        with conducted(on_loopback, wanted, screen) as result:
-            write_outputs(result, junit, json_target, csv_target)
-    if not any(axis.began for axis in result.axes):
-        sys.exit(_NOTHING_STARTED)
-    sys.exit(result.exit_code)
+        wishes = FleetWishes(only, at_once, yes=True)
+        outputs = Outputs(junit, json_target, csv_target)
+        conduct(on_twins(plan, twins, links), wishes, screen, outputs)
 
 
 @contextlib.contextmanager

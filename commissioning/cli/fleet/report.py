@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import click
 
-from commissioning.cli.fleet.run import write_outputs
+from commissioning.cli.fleet.run import check_outputs, write_outputs
 from commissioning.cli.options import verbose
 from commissioning.cli.output import say
-from commissioning.cli.terminal import check_json
 from profiles.errors import UsageError
 
 __all__ = ["command"]
@@ -27,8 +26,7 @@ def command(run: str, junit: str | None, json_target: str | None, csv_target: st
     from commissioning.fleet.view import by_the_ledger
     from drivers.home import home
 
-    for target in (junit, json_target, csv_target):
-        check_json(target)
+    check_outputs(junit, json_target, csv_target)
     with Ledger(home(), reading=True) as ledger:
         result = by_the_ledger(ledger, run, tool())
     written = Pages().write(result)

@@ -65,5 +65,5 @@ def command(
             if outcome is not None:
                 show.ending(of_run(desk, left.run), screen)
     if failed:
-        say(f"tworelay: not restored: {', '.join(failed)}", err=True)
+        say(f"tworelay: not restored: {', '.join(dict.fromkeys(failed))}", err=True)
         sys.exit(_SOME)

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import click
 
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, say
 from commissioning.cli.terminal import Screen, check_json
-from profiles.errors import UsageError
+from profiles.errors import TwoRelayError, UsageError
 
 if TYPE_CHECKING:
-    from commissioning.cli.fleet.screen import FleetScreen
     from commissioning.fleet.plan import Fleet
     from commissioning.fleet.running import FleetWishes
     from commissioning.result.fleet import FleetJob, FleetResult
 
-__all__ = ["command", "conducted", "run_options", "write_outputs"]
+__all__ = ["Outputs", "check_outputs", "command", "conduct", "run_options", "write_outputs"]
 
 _NOTHING_STARTED = 3
 
@@ -77,31 +75,41 @@ def command(
     from commissioning.fleet.plan import load_fleet
     from commissioning.fleet.running import FleetWishes
 
-    for target in (junit, json_target, csv_target):
-        check_json(target)
+    check_outputs(junit, json_target, csv_target)
     if resume is not None and again:
         raise UsageError("--resume and --again exclude each other: first the one, then the other")
+    if dry_run and (resume is not None or again):
+        raise UsageError("--dry-run looks at what a new run would do: without --resume and --again")
     screen = Screen(json_target, yes=False)
     plan = load_fleet(fleet, job)
-    wanted = FleetWishes(only, at_once, resume, again, yes=yes, terminal=sys.stdin.isatty())
+    terminal = sys.stdin is not None and sys.stdin.isatty()
+    wishes = FleetWishes(only, at_once, resume, again, yes=yes, terminal=terminal)
     if dry_run:
-        sys.exit(looked_at(plan, wanted, screen, json_target, with_writes=True))
-    with conducted(plan, wanted, screen) as result:
-        write_outputs(result, junit, json_target, csv_target)
-    if not any(axis.began for axis in result.axes):
-        sys.exit(_NOTHING_STARTED)
-    sys.exit(result.exit_code)
+        sys.exit(looked_at(plan, wishes, screen, json_target, with_writes=True))
+    conduct(plan, wishes, screen, Outputs(junit, json_target, csv_target))
 
 
-@contextlib.contextmanager
-def conducted(plan: Fleet, wanted: FleetWishes, screen: Screen) -> Generator[FleetResult]:
-    """The run, which has ended; its files are written, and its table is shown.
+class Outputs(NamedTuple):
+    """Where other programs read."""
 
-    A signal that ended it is raised after that.
-    """
+    junit: str | None
+    json: str | None
+    csv: str | None
+
+
+def check_outputs(junit: str | None, json_target: str | None, csv_target: str | None) -> None:
+    """See before anything is done that all can be written; raises UsageError."""
+    for target, option in ((junit, "--junit"), (json_target, "--json"), (csv_target, "--csv")):
+        check_json(target, option)
+
+
+def conduct(plan: Fleet, wishes: FleetWishes, screen: Screen, outputs: Outputs) -> NoReturn:
+    """Run it, write its files, show its table, exit; what ended it early is raised then."""
     from commissioning.cli.fleet.screen import FleetScreen, final_table
+    from commissioning.ending import tool
     from commissioning.fleet.pages import Pages
     from commissioning.fleet.running import run
+    from commissioning.fleet.view import not_begun
     from commissioning.interruption import Interruption
 
     pages = Pages()
@@ -112,16 +120,22 @@ def conducted(plan: Fleet, wanted: FleetWishes, screen: Screen) -> Generator[Fle
         people.tell(f"fleet run {run_id}: {pages.going}")
 
     with Interruption() as interruption, interruption.deferred():
-        result = _run(lambda: run(plan, wanted, people, interruption, opened), people)
+        try:
+            with people.living():
+                result, error = run(plan, wishes, people, interruption, opened)
+        except TwoRelayError as refused:
+            if refused.exit_code >= _NOTHING_STARTED:
+                write_outputs(not_begun(plan, str(refused), tool()), *outputs)
+            raise
         final_table(result, screen)
         for path in pages.write(result):
             screen.say(str(path))
-        yield result
-
-
-def _run(act: Callable[[], FleetResult], people: FleetScreen) -> FleetResult:
-    with people.living():
-        return act()
+        write_outputs(result, *outputs)
+        if error is not None:
+            raise error
+    if not any(axis.began for axis in result.axes):
+        sys.exit(_NOTHING_STARTED)
+    sys.exit(result.exit_code)
 
 
 def write_outputs(

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import threading
 from collections.abc import Callable, Generator
 from dataclasses import replace
 from typing import Any
+from unicodedata import normalize
 
-import click
-
-from commissioning.cli.output import giving_up
+from commissioning.cli.fleet.keyboard import Keyboard
+from commissioning.cli.output import document, giving_up
 from commissioning.cli.terminal import Screen
+from commissioning.fleet.people import Answer, Ask
 from commissioning.result.fleet import FAILED, FleetAxis, FleetResult, JobState
 from commissioning.result.words import number, remaining
-from profiles.errors import TwoRelayError
 from profiles.plain import plain
 
 __all__ = ["FleetScreen", "final_table", "rows", "summary"]
@@ -27,7 +26,8 @@ _STYLES = {
 _QUIET = JobState.PLANNED, JobState.WAITING, JobState.GRANTED  # told by the table alone
 _WIDEST = 30  # characters of a column that is never cut
 _AROUND = 6  # lines of a screen that a table needs beside its rows
-_COLUMNS = "axis", "state", "step", "friction", "less error", ""
+_TRIES = 3  # at a word that is to be typed
+_COLUMNS = "axis", "state", "step", "friction", "less error", "what"
 
 
 def rows(result: FleetResult) -> list[list[str]]:
@@ -123,32 +123,40 @@ class FleetScreen:
             parts = [_friction(one), _gain(one) and f"{_gain(one)} less error", one.why]
             self._screen.say(f"{one.name}: {one.state}  {'; '.join(filter(None, parts))}".rstrip())
 
-    def ask(self, text: str, word: str) -> Callable[[], bool | None]:
-        """Ask beside what goes on."""
-        answer: list[bool] = []
+    def ask(self, text: str, word: str) -> Ask:
+        """Ask beside what goes on; the table waits for the answer."""
         self._asking = True
         if self._live is not None:
             self._live.update("", refresh=True)
             self._live.stop()
+        for line in text.splitlines():
+            self._screen.say(line)
+        keyboard = Keyboard()
+        self._prompt(word)
+        tries = _TRIES
 
-        def wait() -> None:
-            try:
-                answer.append(self._screen.confirm(text, word))
-            except (TwoRelayError, click.exceptions.Abort, OSError):  # nobody typed it
-                answer.append(False)
-
-        threading.Thread(target=wait, daemon=True).start()
-
-        def answered() -> bool | None:
-            if not answer:
+        def answered() -> Answer | None:
+            nonlocal tries
+            line = keyboard.line()
+            if line is None:
                 return None
-            if self._asking:
-                self._asking = False
-                if self._live is not None:
-                    self._live.start()
-            return answer[0]
+            typed = normalize("NFC", line.strip())
+            if line and typed and typed != normalize("NFC", word) and tries > 1:
+                tries -= 1
+                self._screen.say(f"that is not {word}; Enter alone says no")
+                self._prompt(word)
+                return None
+            self._asking = False
+            if self._live is not None:
+                self._live.start()
+            if not line:
+                return Answer.NOBODY
+            return Answer.YES if typed == normalize("NFC", word) else Answer.NO
 
         return answered
+
+    def _prompt(self, word: str) -> None:
+        document(f"Type {plain(word)} to go on: ", err=self._screen.to_stderr)
 
 
 def _most_telling(result: FleetResult, room: int) -> FleetResult:

@@ -93,8 +93,20 @@ class _Forked:
             self._code = 0
         return self._code
 
+    def poll(self) -> int | None:
+        if self._code is None:
+            with contextlib.suppress(ChildProcessError):
+                pid, status = os.waitpid(self.pid, os.WNOHANG)
+                if not pid:
+                    return None
+                self._code = os.waitstatus_to_exitcode(status)
+        return self._code or 0
+
     def send_signal(self, number: int) -> None:
         os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        os.kill(self.pid, signal.SIGKILL)
 
 
 def _pool(folder: Path) -> Iterator[_Forked]:

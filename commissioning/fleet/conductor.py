@@ -110,6 +110,8 @@ class Conductor:
         self._go(FleetState.FINISHED if over else FleetState.STOPPED)
         self.error = self.error or self.board.failure
         self._estimate.over()
+        for one in self.board.of(JobState.WAITING, JobState.PLANNED):
+            one.doing = ""
         result = self.result()
         self._people.show(result)
         return result

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
@@ -130,12 +130,27 @@ def conduct(plan: Fleet, wishes: FleetWishes, screen: Screen, outputs: Outputs) 
         final_table(result, screen)
         for path in pages.write(result):
             screen.say(str(path))
+        for line in _ways_on(result):
+            screen.say(line)
         write_outputs(result, *outputs)
         if error is not None:
             raise error
     if not any(axis.began for axis in result.axes):
         sys.exit(_NOTHING_STARTED)
     sys.exit(result.exit_code)
+
+
+def _ways_on(result: FleetResult) -> Iterator[str]:
+    """What can be done about axes that are not done."""
+    from commissioning.result.fleet import FAILED, MAY_RESUME
+
+    again = "tworelay fleet run FLEET"
+    if result.rehearsed:
+        return
+    if left := result.count(*MAY_RESUME):
+        yield f"{left} not started: '{again} --resume' goes on with them"
+    if failed := result.count(*FAILED):
+        yield f"{failed} not done: '{again} --again failed' tries them again"
 
 
 def write_outputs(

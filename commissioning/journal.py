@@ -10,21 +10,11 @@ import os
 import re
 import sqlite3
 import time
-from collections.abc import Callable, Generator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
 from pathlib import Path
 
 from commissioning.errors import JournalError
-from commissioning.journal_file import (
-    SCHEMA_VERSION,
-    UNWRITABLE,
-    VIEWS,
-    open_to_read,
-    open_to_write,
-    prepare,
-    slug,
-    unwritable,
-)
+from commissioning.journal_file import OpenJournal, slug
 from commissioning.records import (
     END_OF_TIME,
     RESTORED,
@@ -53,69 +43,16 @@ __all__ = ["RESTORED", "STORED", "STORING", "Intent", "Journal", "Kind", "RunRec
 _RUNS_A_SECOND = 1000  # of one axis, at most
 
 
-class Journal:
+class Journal(OpenJournal):
     """The journal of this machine; raises JournalError when it cannot be read or written.
 
     `reading` : nothing is written, not even where there is no journal yet
     """
 
-    def __init__(self, folder: Path, *, reading: bool = False) -> None:
-        self.folder = folder
-        self._clean_up = ExitStack()
-        path = folder / "journal.sqlite"
-        try:
-            if reading:
-                self._db = open_to_read(path, self._clean_up)
-            else:
-                self._db = open_to_write(path)
-        except (OSError, sqlite3.Error) as error:
-            self._clean_up.close()
-            what = f"the journal in {folder} cannot be read ({error})"
-            raise JournalError(what if reading else unwritable(folder, error)) from None
-        self._clean_up.callback(self._db.close)
-        with ExitStack() as undone, self._errors():
-            undone.push(self._clean_up.pop_all())
-            self._db.row_factory = sqlite3.Row
-            version = self._db.execute("PRAGMA user_version").fetchone()[0]
-            if version > SCHEMA_VERSION:
-                raise JournalError(
-                    f"{path} was written by a newer tworelay (schema {version})",
-                    hint="update tworelay",
-                )
-            if not reading:
-                prepare(self._db)
-            self._db.executescript(VIEWS)
-            self._clean_up = undone.pop_all()
-
     @classmethod
     def empty(cls) -> Journal:
         """One without runs, that is nowhere."""
         return cls(Path(os.devnull) / "nowhere", reading=True)
-
-    def close(self) -> None:
-        """Close the file."""
-        self._clean_up.close()
-
-    def __enter__(self) -> Journal:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
-    @contextmanager
-    def _errors(self) -> Generator[None]:
-        try:
-            yield
-        except (sqlite3.Error, OverflowError) as error:
-            with suppress(sqlite3.Error):
-                if self._db.in_transaction:
-                    self._db.execute("ROLLBACK")
-            code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-            if isinstance(error, sqlite3.DatabaseError) and code not in UNWRITABLE:
-                raise self._damaged(error) from None
-            raise JournalError(unwritable(self.folder, error)) from None
-        except UnicodeEncodeError:
-            raise UsageError("a name that is no valid text cannot be looked up") from None
 
     # -- runs ------------------------------------------------------------------------------------
 
@@ -183,13 +120,6 @@ class Journal:
             return run_of(dict(row), adopted=adopted is not None)
         except (ValueError, TypeError, RecursionError, UsageError) as error:
             raise self._damaged(error) from None
-
-    def _damaged(self, error: Exception) -> JournalError:
-        return JournalError(
-            f"the journal in {self.folder} is damaged ({error})",
-            hint="put back a copy of journal.sqlite, or move it away (and keep it: what is to be "
-            "restored in which drive stands nowhere else)",
-        )
 
     def note_stored(self, run: str, text: str) -> None:
         """Say what the drive does to its memory, and up to which write.

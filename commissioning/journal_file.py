@@ -6,21 +6,16 @@ import re
 import sqlite3
 import time
 import unicodedata
-from contextlib import ExitStack
+from collections.abc import Generator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Self
 
+from commissioning.errors import JournalError
 from commissioning.sqlite_reading import read_only
+from profiles.errors import UsageError
 
-__all__ = [
-    "SCHEMA_VERSION",
-    "UNWRITABLE",
-    "VIEWS",
-    "open_to_read",
-    "open_to_write",
-    "prepare",
-    "slug",
-    "unwritable",
-]
+__all__ = ["OpenJournal", "slug"]
 
 TRIES, PAUSE = 200, 0.05  # s: until another process has opened the file
 SCHEMA_VERSION = 1
@@ -136,3 +131,70 @@ def slug(name: str) -> str:
     plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
     slug = re.sub(r"[^A-Za-z0-9._-]+", "-", plain)[:_LONGEST_SLUG].strip("._-")
     return slug or "axis"
+
+
+class OpenJournal:
+    """The file, opened; what goes wrong with it is a JournalError, and what was begun is undone.
+
+    `reading` : nothing is written, not even where there is no journal yet
+    """
+
+    def __init__(self, folder: Path, *, reading: bool = False) -> None:
+        self.folder = folder
+        self._clean_up = ExitStack()
+        path = folder / "journal.sqlite"
+        try:
+            if reading:
+                self._db = open_to_read(path, self._clean_up)
+            else:
+                self._db = open_to_write(path)
+        except (OSError, sqlite3.Error) as error:
+            self._clean_up.close()
+            what = f"the journal in {folder} cannot be read ({error})"
+            raise JournalError(what if reading else unwritable(folder, error)) from None
+        self._clean_up.callback(self._db.close)
+        with ExitStack() as undone, self._errors():
+            undone.push(self._clean_up.pop_all())
+            self._db.row_factory = sqlite3.Row
+            version = self._db.execute("PRAGMA user_version").fetchone()[0]
+            if version > SCHEMA_VERSION:
+                raise JournalError(
+                    f"{path} was written by a newer tworelay (schema {version})",
+                    hint="update tworelay",
+                )
+            if not reading:
+                prepare(self._db)
+            self._db.executescript(VIEWS)
+            self._clean_up = undone.pop_all()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._clean_up.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    @contextmanager
+    def _errors(self) -> Generator[None]:
+        try:
+            yield
+        except (sqlite3.Error, OverflowError) as error:
+            with suppress(sqlite3.Error):
+                if self._db.in_transaction:
+                    self._db.execute("ROLLBACK")
+            code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+            if isinstance(error, sqlite3.DatabaseError) and code not in UNWRITABLE:
+                raise self._damaged(error) from None
+            raise JournalError(unwritable(self.folder, error)) from None
+        except UnicodeEncodeError:
+            raise UsageError("a name that is no valid text cannot be looked up") from None
+
+    def _damaged(self, error: Exception) -> JournalError:
+        return JournalError(
+            f"the journal in {self.folder} is damaged ({error})",
+            hint="put back a copy of journal.sqlite, or move it away (and keep it: what is to be "
+            "restored in which drive stands nowhere else)",
+        )

@@ -93,6 +93,18 @@ def main() -> None:
         sys.exit(_report_failure(error))
 
 
+def _meant(message: str, where: click.Context | None) -> str:
+    """A command that is spelled nearly so."""
+    import difflib
+    import re
+
+    named = re.fullmatch(r"No such command '(.+)'\.", message)
+    if named is None or where is None or not isinstance(where.command, click.Group):
+        return ""
+    near = difflib.get_close_matches(named[1], where.command.list_commands(where), 1)
+    return f" Did you mean '{near[0]}'?" if near else ""
+
+
 def _report_failure(error: Exception) -> int:
     from commissioning.cli.output import document, say
     from profiles.errors import TwoRelayError
@@ -106,6 +118,7 @@ def _report_failure(error: Exception) -> int:
     if isinstance(error, click.ClickException):  # its own wording, on one line
         message = " ".join(error.format_message().split())
         where = getattr(error, "ctx", None)
+        message += _meant(message, where)
         hint = f" Try '{where.command_path} --help'." if where is not None else ""
         say(f"tworelay: {message}{hint}", err=True)
         return 2

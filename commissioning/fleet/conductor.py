@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 
 from commissioning.ending import operator, tool
 from commissioning.errors import JournalError
@@ -29,6 +30,7 @@ from commissioning.fleet.plan import Fleet
 from commissioning.fleet.schedule import Rules, Task, obstacle, startable
 from commissioning.fleet.serials import NO_SERIAL, Pins
 from commissioning.fleet.time_left import TimeLeft
+from commissioning.fleet.zones import Zones
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from commissioning.result.fleet import (
@@ -46,8 +48,6 @@ __all__ = ["Conductor"]
 _WAIT = 0.1  # s
 _SHOWN = 0.25  # s between pictures
 _LATE = 0.05  # share of late cycles from which on nothing more starts beside it
-_STILL_ENABLED = 0.5  # s after which an axis of a zone shows that it was no emergency stop
-_NEVER = float("inf")
 _LEFT = "drive.left"  # a drive that was disabled without a fault, and not by us
 _CLEAN = JobState.DONE, JobState.NOT_HELPED, JobState.REJECTED, JobState.REFUSED
 
@@ -84,9 +84,8 @@ class Conductor:
         self._clock = clock
         self._rules: Rules = rules_of(self.fleet, at_once)
         self._estimate = TimeLeft(self.fleet.job, self._rules, clock)
-        self._paused: dict[str, float] = {}  # zone → s of the monotonic clock
-        self._question: tuple[Asked, Ask] | None = None
-        self._wake: tuple[str, Ask] | None = None
+        self._zones = Zones(clock)
+        self._question: tuple[Ask, Callable[[Answer], None]] | None = None
         self._shown = 0.0
         self._demand = Demand(interruption, lambda: ledger.request(board.run), clock)
         self.error: TwoRelayError | None = None
@@ -125,9 +124,10 @@ class Conductor:
         while True:
             self._heed()
             self._block()
-            self._resume_zones()
+            self._hear_people()
+            self._go_on_in_zones()
             if not self.draining:
-                self._ask()
+                self._seek_confirmation()
                 self._start()
             if not self._running() and self._is_over():
                 return
@@ -215,7 +215,7 @@ class Conductor:
             [self._task(one) for one in self._running()],
             {one.name for one in self.board.of(JobState.DONE)},
             self._rules,
-            paused=self._paused,
+            paused=self._zones.paused,
             late=any(one.late > _LATE for one in self._running()),
         )
         return [self.board[task.name] for task in tasks]
@@ -225,7 +225,7 @@ class Conductor:
         waiting = self.board.of(JobState.WAITING)
         if self.draining or not waiting:
             return True
-        if self._question is not None or self._wake is not None:
+        if self._question is not None:
             return False
         return not self._may_start(waiting)
 
@@ -264,21 +264,30 @@ class Conductor:
     def _workers(self) -> dict[str, Worker]:
         return self._crew.at_work()
 
-    def _ask(self) -> None:
-        """See what was answered; ask for what could start, if only it might."""
-        if self._question is not None:
-            asked, pending = self._question
-            answer = pending()
-            if answer is None:
-                return
-            self._question = None
-            self._answered(asked, answer)
-            if self.draining:
-                return
+    def _ask(self, text: str, word: str, then: Callable[[Answer], None]) -> None:
+        """One question at a time; `then` gets what becomes of it."""
+        self._question = self._people.ask(text, word), then
+
+    def _hear_people(self) -> None:
+        """See whether the question was answered."""
+        if self._question is None:
+            return
+        pending, then = self._question
+        answer = pending()
+        if answer is None:
+            return
+        self._question = None
+        if answer is Answer.NOBODY:
+            self._drain("nobody is at the terminal")
+        else:
+            then(answer)
+
+    def _seek_confirmation(self) -> None:
+        """Ask for what could start, if only it might."""
         now = self._clock()
         waiting = self.board.of(JobState.WAITING)
         candidates = [one for one in self._may_start(waiting) if one.confirmed_until < now]
-        if not candidates:
+        if not candidates or self._question is not None:
             return
         if self._in_advance is not None:
             for one in waiting:
@@ -288,12 +297,9 @@ class Conductor:
         with_room = [(o.planned, o.looked.room) for o in waiting if o.looked is not None]
         seconds = self._seconds(stepping=first.planned.is_stepping)
         asked = question(self.fleet, first.planned, with_room, seconds)
-        self._question = asked, self._people.ask(asked.text, asked.word)
+        self._ask(asked.text, asked.word, partial(self._told_of_axes, asked))
 
-    def _answered(self, asked: Asked, answer: Answer) -> None:
-        if answer is Answer.NOBODY:
-            self._drain("nobody is at the terminal")
-            return
+    def _told_of_axes(self, asked: Asked, answer: Answer) -> None:
         for one in (self.board[name] for name in asked.axes):
             if one.state is not JobState.WAITING:
                 continue
@@ -317,7 +323,7 @@ class Conductor:
         done = {one.name for one in self.board.of(JobState.DONE)}
         late = any(one.late > _LATE for one in self._running())
         for one in self.board.of(JobState.WAITING):
-            what = obstacle(self._task(one), tasks, done, paused=self._paused, late=late)
+            what = obstacle(self._task(one), tasks, done, paused=self._zones.paused, late=late)
             one.doing = "" if self.draining else what
         self._people.show(self.result())
 
@@ -447,52 +453,27 @@ class Conductor:
                 self.board.move(one, JobState.BLOCKED, why)
 
     def _pause(self, zone: str, why: str, *, may_be_woken: bool = False) -> None:
-        """Nothing starts there until somebody says so.
-
-        `may_be_woken` : or until another axis of the zone shows that it is enabled still
-        """
-        self._paused[zone] = self._clock() if may_be_woken else _NEVER
+        self._zones.pause(zone, may_be_woken=may_be_woken)
         self._people.tell(f"zone '{zone}' is paused: {why}")
 
-    def _resume_zones(self) -> None:
-        for zone, since in list(self._paused.items()):
-            awake = [
-                one for one in self._running()
-                if one.planned.zone == zone and one.moving_at > since + _STILL_ENABLED
-            ]  # fmt: skip
-            if awake:
-                del self._paused[zone]
-                self._people.tell(
-                    f"zone '{zone}' goes on: '{awake[0].name}' in it stays enabled, so that it was "
-                    "no emergency stop"
-                )
-        if self._wake is not None:
-            zone, pending = self._wake
-            answer = pending()
-            if answer is not None:
-                self._wake = None
-                self._woken(zone, answer)
-        held = [
-            zone for zone in self._paused
-            if any(one.planned.zone == zone for one in self.board.of(JobState.WAITING))
-        ]  # fmt: skip
-        still = any(one.planned.zone in held for one in self._running())
-        if held and self._wake is None and self._question is None and not still:
-            if self._in_advance is not None:
-                return  # nobody is at the terminal: the run ends without them
+    def _go_on_in_zones(self) -> None:
+        """Where an axis has shown that its zone is enabled still, or where somebody says so."""
+        for one in self._zones.woken(self._running()):
+            self._people.tell(
+                f"zone '{one.planned.zone}' goes on: '{one.name}' in it stays enabled, so that it "
+                "was no emergency stop"
+            )
+        held = self._zones.held(self.board.of(JobState.WAITING), self._running())
+        self._go(FleetState.PAUSED if held else FleetState.RUNNING)
+        if held and self._question is None and self._in_advance is None and not self.draining:
             text = (
                 f"Zone '{held[0]}' is paused. When all its axes are at rest, its emergency stop is "
                 "released and nobody is in it:"
             )
-            self._wake = held[0], self._people.ask(text, held[0])
-        if self.state in (FleetState.RUNNING, FleetState.PAUSED):
-            self._go(FleetState.PAUSED if held else FleetState.RUNNING)
+            self._ask(text, held[0], partial(self._told_of_zone, held[0]))
 
-    def _woken(self, zone: str, answer: Answer) -> None:
-        if answer is Answer.NOBODY:
-            self._drain("nobody is at the terminal")
-            return
-        self._paused.pop(zone, None)
+    def _told_of_zone(self, zone: str, answer: Answer) -> None:
+        self._zones.free(zone)
         for one in self.board.of(JobState.WAITING):
             if one.planned.zone != zone:
                 continue

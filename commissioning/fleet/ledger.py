@@ -11,14 +11,14 @@ import json
 import platform
 import sqlite3
 import time
-from collections.abc import Generator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from commissioning.errors import JournalError
-from commissioning.journal_file import open_to_read, open_to_write, prepare, slug, unwritable
+from commissioning.journal_file import OpenJournal, slug
 from commissioning.processes import boot, is_alive, this_process
 from commissioning.result.fleet import ENDED, Confirmed, FleetState, JobState, Outcome
 from commissioning.result.fleet_codec import json_of, of_json
@@ -27,6 +27,7 @@ from profiles.errors import UnknownName
 __all__ = ["FleetRecord", "Ledger", "LedgerRow", "Place"]
 
 _RUNS_A_SECOND = 100
+T = TypeVar("T")
 
 
 class Place(NamedTuple):
@@ -106,46 +107,8 @@ class LedgerRow:
         return self.boot == boot() and is_alive(self.pid, self.started)
 
 
-class Ledger:
+class Ledger(OpenJournal):
     """The fleet runs of this computer; raises JournalError when they cannot be read or written."""
-
-    def __init__(self, folder: Path, *, reading: bool = False) -> None:
-        self.folder = folder
-        path = folder / "journal.sqlite"
-        with ExitStack() as stack:
-            try:
-                if reading:
-                    self._db = open_to_read(path, stack)
-                else:
-                    self._db = open_to_write(path)
-            except (OSError, sqlite3.Error) as error:
-                raise JournalError(unwritable(folder, error)) from None
-            stack.callback(self._db.close)
-            with self._errors():
-                self._db.row_factory = sqlite3.Row
-                if not reading:
-                    prepare(self._db)
-            self._clean_up = stack.pop_all()
-
-    def close(self) -> None:
-        """Close the file."""
-        self._clean_up.close()
-
-    def __enter__(self) -> Ledger:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
-    @contextmanager
-    def _errors(self) -> Generator[None]:
-        try:
-            yield
-        except (sqlite3.Error, OverflowError, ValueError) as error:
-            with suppress(sqlite3.Error):
-                if self._db.in_transaction:
-                    self._db.execute("ROLLBACK")
-            raise JournalError(unwritable(self.folder, error)) from None
 
     @contextmanager
     def _change(self) -> Generator[sqlite3.Connection]:
@@ -232,7 +195,7 @@ class Ledger:
             if row is None:
                 recent = self._db.execute("SELECT id FROM fleet_runs ORDER BY rowid DESC LIMIT 5")
                 raise UnknownName("fleet run", run, [found["id"] for found in recent])
-            return FleetRecord(**{**dict(row), "state": FleetState(row["state"])})
+            return self._sound(lambda: FleetRecord(**{**row, "state": FleetState(row["state"])}))
 
     # -- axes ------------------------------------------------------------------------------------
 
@@ -244,7 +207,7 @@ class Ledger:
             ).fetchall()
             rows: dict[str, LedgerRow] = {}
             for row in found:
-                rows[row["axis"]] = _row(dict(row))
+                rows[row["axis"]] = self._row(row)
         return rows
 
     def move(
@@ -324,7 +287,7 @@ class Ledger:
                 "name=? AND fleet_axes.state IN (?,?)",
                 (name, JobState.GRANTED, JobState.STARTED),
             ).fetchall()
-            rows = [(str(row["fleet_run"]), _row(dict(row))) for row in found]
+            rows = [(str(row["fleet_run"]), self._row(row)) for row in found]
         return [(run, row) for run, row in rows if row.is_alive]
 
     def attempts(self, run: str) -> list[LedgerRow]:
@@ -333,7 +296,7 @@ class Ledger:
             found = self._db.execute(
                 "SELECT * FROM fleet_axes WHERE fleet_run=? ORDER BY rowid", (run,)
             ).fetchall()
-            return [_row(dict(row)) for row in found]
+            return [self._row(row) for row in found]
 
     def again(self, run: str, attempts: Mapping[str, int]) -> None:
         """A new attempt at each of these axes, after the one that is given."""
@@ -360,6 +323,16 @@ class Ledger:
             ).fetchall()
         return [(row["at"], row["axis"], row["attempt"], row["text"]) for row in rows]
 
+    def _row(self, row: sqlite3.Row) -> LedgerRow:
+        return self._sound(lambda: _row(dict(row)))
+
+    def _sound(self, made: Callable[[], T]) -> T:
+        """What a row says, if it is as it must be."""
+        try:
+            return made()
+        except (ValueError, TypeError) as error:
+            raise self._damaged(error) from None
+
     @staticmethod
     def _tell(db: sqlite3.Connection, run: str, axis: str, attempt: int, text: str) -> None:
         db.execute(
@@ -369,7 +342,7 @@ class Ledger:
 
 
 def _row(row: dict[str, Any]) -> LedgerRow:
-    """A row as it must be; raises ValueError."""
+    """A row as it must be; raises ValueError, TypeError."""
     row.pop("fleet_run")
     row["state"] = JobState(row["state"])
     if row["confirmed"] is not None:

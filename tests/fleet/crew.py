@@ -107,13 +107,22 @@ class FakePeople:
         self.answers = answers
         self.asked: list[tuple[str, str]] = []
         self.told: list[str] = []
+        self.is_asked = False
 
     def tell(self, text: str) -> None:
         self.told.append(text)
 
     def ask(self, text: str, word: str) -> Ask:
+        assert not self.is_asked, "there is one terminal, for one question"
         self.asked.append((word, text))
-        return lambda: self.answers.get(word)
+        self.is_asked = True
+
+        def answered() -> Answer | None:
+            answer = self.answers.get(word)
+            self.is_asked = answer is None
+            return answer
+
+        return answered
 
     def show(self, result: FleetResult) -> None:
         self.last = result

@@ -179,6 +179,27 @@ def test_an_emergency_stop_pauses_its_zone_until_a_word_is_typed(stage: MakeStag
     assert result.exit_code == 9
 
 
+def test_one_question_at_a_time(stage: MakeStage) -> None:
+    """A zone is paused while another axis is asked for: its own question waits for its turn."""
+    one = stage(
+        text("ab", ZONE, keys='zone = "z"\n')
+        + '[[axes]]\nname = "c"\nlink = "virtual://bench?seed=9"\n'
+    )
+    one.in_advance = None
+    one.at_once = 2
+    one.people.answers = {"a": YES}
+    one.does["a"] = []
+    one.steps[20] = lambda: one.crew.say("a", *failed(JobState.FAULT, "drive.left"))
+
+    def answer() -> None:
+        one.people.answers |= {"b": YES, "c": YES, "z": YES}
+
+    one.steps[60] = answer
+    one.run()
+    assert one.states() == {"a": "fault", "b": "done", "c": "done"}
+    assert [word for word, _ in one.people.asked].count("z") == 1
+
+
 def test_without_a_terminal_a_paused_zone_ends_the_run(stage: MakeStage) -> None:
     one = stage(text("ab", ZONE, keys='zone = "z"\n'))
     one.at_once = 1

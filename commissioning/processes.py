@@ -6,10 +6,11 @@ import contextlib
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any, TypedDict
 
-__all__ = ["boot", "is_alive", "start", "this_process"]
+__all__ = ["boot", "clock", "is_alive", "start", "this_process"]
 
 _SAME = 2.0  # s; a number that was given again is further off
 _LARGEST = 2**31
@@ -34,6 +35,12 @@ def boot() -> str:
     with contextlib.suppress(OSError):
         return Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
     return f"{psutil.boot_time():.0f}"
+
+
+def clock() -> float:
+    """Seconds of a clock that nobody sets, and that goes on while the computer sleeps."""
+    of_the_computer = getattr(time, "CLOCK_BOOTTIME", None)
+    return time.monotonic() if of_the_computer is None else time.clock_gettime(of_the_computer)
 
 
 def _started(pid: int) -> float:

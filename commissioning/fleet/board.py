@@ -126,6 +126,8 @@ class Board:
         except JournalError as error:
             self.failure = self.failure or error
             return False
+        if not granted:
+            self._learn(one, "it was not to be granted")
         if granted:
             one.state = JobState.GRANTED
             one.began, one.moving_at, one.late = time.time(), 0.0, 0.0
@@ -135,7 +137,7 @@ class Board:
         """Take a grant back; where it was started, the ledger knows how it stands."""
         try:
             if not self._ledger.revoke(self.run, one.name, one.attempt, why):
-                self._learn(one, why)
+                self._learn(one, why, dead=True)
                 return
         except JournalError as error:
             self.failure = self.failure or error
@@ -143,14 +145,20 @@ class Board:
             return
         self._ended(one, JobState.REVOKED, why)
 
-    def _learn(self, one: Standing, why: str) -> None:
-        """How an axis stands that somebody else has moved on, or whose process is gone."""
-        row = self._ledger.rows(self.run)[one.name]
-        if row.state is JobState.STARTED:
-            self._ledger.move(
-                self.run, one.name, one.attempt, JobState.UNKNOWN, why=why,
-                given=(JobState.STARTED,),
-            )  # fmt: skip
+    def _learn(self, one: Standing, why: str, *, dead: bool = False) -> None:
+        """How an axis stands that somebody else has moved on, or whose process is `dead`."""
+        try:
+            row = self._ledger.rows(self.run)[one.name]
+            if row.state is JobState.STARTED and dead:
+                self._ledger.move(
+                    self.run, one.name, one.attempt, JobState.UNKNOWN, why=why,
+                    given=(JobState.STARTED,),
+                )  # fmt: skip
+        except JournalError as error:
+            self.failure = self.failure or error
+            self._ended(one, JobState.UNKNOWN, why)
+            return
+        if row.state is JobState.STARTED:  # of a process that is dead, or not of this runner
             self._ended(one, JobState.UNKNOWN, why)
             return
         one.outcome = row.outcome
@@ -158,7 +166,7 @@ class Board:
 
     def end(self, one: Standing, state: JobState, outcome: Outcome) -> None:
         """A job has ended; its own process has kept that, if it could."""
-        why = outcome.error.text if outcome.error else ""
+        why = outcome.error.text if outcome.error else outcome.remark
         try:
             self._ledger.end(self.run, one.name, one.attempt, state, outcome, why)
         except JournalError as error:
@@ -178,12 +186,14 @@ class Board:
     def _ended(one: Standing, state: JobState, why: str) -> None:
         one.state, one.why, one.ended = state, why, time.time()
 
-    def view(self, state: FleetState, tool: Tool | None, left: float | None) -> FleetResult:
+    def view(
+        self, state: FleetState, tool: Tool | None, left: float | None, notes: tuple[str, ...] = ()
+    ) -> FleetResult:
         """The run as it is now."""
         over = state in (FleetState.FINISHED, FleetState.STOPPED)
         record = replace(self._record, ended=time.time() if over else None)
         axes = [_shown(one) for one in self]
-        return view(record, axes, state, tool, left, rehearsed=self.fleet.rehearsed)
+        return view(record, axes, state, tool, left, notes, rehearsed=self.fleet.rehearsed)
 
 
 def _standing(planned: PlannedAxis, row: LedgerRow) -> Standing:

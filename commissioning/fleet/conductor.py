@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -18,8 +17,7 @@ from commissioning.fleet.ledger import Ledger
 from commissioning.fleet.looking import (
     Seen,
     cut_off,
-    judged,
-    look_at_all,
+    look_and_pin,
     order_of,
     rules_of,
     task_of,
@@ -28,20 +26,23 @@ from commissioning.fleet.messages import Report
 from commissioning.fleet.people import Answer, Ask, People
 from commissioning.fleet.plan import Fleet
 from commissioning.fleet.schedule import Rules, Task, obstacle, startable
-from commissioning.fleet.serials import NO_SERIAL, Pins
+from commissioning.fleet.serials import Pins
 from commissioning.fleet.time_left import TimeLeft
 from commissioning.fleet.zones import Zones
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
+from commissioning.processes import clock
 from commissioning.result.fleet import (
     FAILED,
     Confirmed,
     FleetResult,
     FleetState,
     JobState,
+    in_doubt,
 )
+from commissioning.result.words import remaining
 from drivers.home import home
-from profiles.errors import TwoRelayError
+from profiles.errors import Refused, TwoRelayError
 
 __all__ = ["Conductor"]
 
@@ -55,8 +56,8 @@ _CLEAN = JobState.DONE, JobState.NOT_HELPED, JobState.REJECTED, JobState.REFUSED
 class Conductor:
     """Runs a fleet.
 
-    `in_advance` : how all is confirmed without a question; None: people are asked. `clock`: s,
-    which never goes back.
+    `in_advance` : how all is confirmed without a question; None: people are asked. `can_ask`:
+    somebody is at the terminal. `clock`: s, which never goes back, nor stands still.
     """
 
     def __init__(
@@ -70,7 +71,8 @@ class Conductor:
         pins: Pins,
         at_once: int | None = None,
         in_advance: str | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        can_ask: bool = False,
+        clock: Callable[[], float] = clock,
     ) -> None:
         self.fleet: Fleet = board.fleet
         self.board = board
@@ -81,11 +83,14 @@ class Conductor:
         self._interruption = interruption
         self._pins = pins
         self._in_advance = in_advance
+        self._can_ask = can_ask
         self._clock = clock
         self._rules: Rules = rules_of(self.fleet, at_once)
         self._estimate = TimeLeft(self.fleet.job, self._rules, clock)
         self._zones = Zones(clock)
         self._question: tuple[Ask, Callable[[Answer], None]] | None = None
+        self._asks = ""
+        self._names: frozenset[str] = frozenset()
         self._shown = 0.0
         self._demand = Demand(interruption, lambda: ledger.request(board.run), clock)
         self.error: TwoRelayError | None = None
@@ -97,19 +102,23 @@ class Conductor:
 
         What moves is not left, whatever happens.
         """
+        self._names = frozenset(names)
         self._people.show(self.result())
         try:
-            self._look([one for one in self.board if one.name in names])
+            self._look()
         except TwoRelayError as error:
             self.error = error
         else:
             self._go(FleetState.RUNNING)
             self._carry_on()
-        over = self.error is None and not self.board.of(JobState.WAITING) and not self.draining
+        if self._question is not None:
+            self._people.withdraw()
+        left = self.board.of(JobState.WAITING, JobState.PLANNED)
+        over = self.error is None and not left and not self.draining
         self._go(FleetState.FINISHED if over else FleetState.STOPPED)
         self.error = self.error or self.board.failure
         self._estimate.over()
-        for one in self.board.of(JobState.WAITING, JobState.PLANNED):
+        for one in self._to_come():
             one.doing = ""
         result = self.result()
         self._people.show(result)
@@ -138,7 +147,10 @@ class Conductor:
 
     def result(self) -> FleetResult:
         """The run as it is now."""
-        return self.board.view(self.state, tool(), self._estimate.left())
+        notes = [f"zone '{zone}' is paused" for zone in self._zones.paused]
+        if self._question is not None and not self.draining:
+            notes.append(f"its terminal waits for an answer: {self._asks}")
+        return self.board.view(self.state, tool(), self._estimate.left(), tuple(notes))
 
     def _go(self, state: FleetState) -> None:
         if state is self.state:
@@ -149,54 +161,41 @@ class Conductor:
         except JournalError as error:
             self.board.failure = self.board.failure or error
 
-    def _look(self, standings: Iterable[Standing]) -> None:
-        """Look at each, hold each drive to its axis, and pin those that are new."""
-        chosen = list(standings)
+    def _look(self) -> None:
+        """What the look at each axis comes to, for it, its group and its zone."""
+        chosen = [one for one in self.board if one.name in self._names]
 
         def tell(name: str, found: Seen) -> None:
             said = found.looked.identity if found.looked else found.error and found.error.text
             self.board[name].doing = said or ""
             self._show()
 
-        self._people.tell(f"looking at {len(chosen)} axes")
-
-        seen = look_at_all(
-            self.fleet, [one.planned for one in chosen], self._crew, self._rules, tell,
-            self._interruption.check,
-        )  # fmt: skip
-        said = {one.name: one.serial for one in self.fleet.axes if one.serial is not None}
-        pinned = {**self._pins.known, **said}
-        found = judged(seen, pinned)
-        self._pins.pin(
-            {
-                name: one.looked.serial
-                for name, one in found.items()
-                if one.error is None and one.looked and name not in pinned
-                and one.looked.serial not in NO_SERIAL
-            }
-        )  # fmt: skip
+        self._people.tell(f"looking at {len(chosen)} {'axis' if len(chosen) == 1 else 'axes'}")
+        axes = [one.planned for one in chosen]
+        found = look_and_pin(
+            self.fleet, axes, self._crew, self._rules, self._pins, tell, self._check_while_looking
+        )
         for one in chosen:
             its = found[one.name]
             one.looked = its.looked
             if its.looked is not None:
                 one.serial = its.looked.serial
-            if its.error is None:
-                self.board.move(one, JobState.WAITING)
-            else:
-                self.board.move(one, its.state, its.error.text)
-                self._blocks_its_group(one)
-        self._hold_back(chosen, {**pinned, **self._pins.known})
-
-    def _hold_back(self, chosen: Collection[Standing], pinned: Mapping[str, str]) -> None:
-        """Groups of which an axis is in a state in which it may stand in the way."""
-        with Journal(home(), reading=True) as journal:
-            for name, run in cut_off(self.fleet, pinned, journal).items():
-                of_it = self.fleet.axis(name).group or ""
-                why = f"run {run} on '{name}' of its group '{of_it}' was cut off"
-                self._block_group(of_it, why)
+            self.board.move(one, its.state, its.error.text if its.error else "")
         for one in self.board:
-            if one not in chosen:
-                self._blocks_its_group(one)
+            self._blocks_its_group(one)
+            if in_doubt(one.state, one.outcome) and one.planned.zone:
+                self._pause(one.planned.zone, f"'{one.name}' in it is not verified to be at rest")
+        with Journal(home(), reading=True) as journal:
+            for name, run in cut_off(self.fleet, self._pins.known, journal).items():
+                group = self.fleet.axis(name).group or ""
+                why = f"run {run} on '{name}' of its group '{group}' was cut off"
+                self._block_group(group, why)
+
+    def _check_while_looking(self) -> None:
+        """Raise what ends the look: a signal, or another process that asks for it."""
+        self._interruption.check()
+        if self._demand.heard():
+            raise Refused(f"{self._demand.who} has ended the look", code="fleet.stopped")
 
     # -- what is so ------------------------------------------------------------------------------
 
@@ -205,6 +204,15 @@ class Conductor:
 
     def _seconds(self, *, stepping: bool) -> float:
         return self._estimate.seconds(stepping=stepping)
+
+    def _waiting(self) -> list[Standing]:
+        """Those that are asked for, and still to start."""
+        return [one for one in self.board.of(JobState.WAITING) if one.name in self._names]
+
+    def _to_come(self) -> list[Standing]:
+        """Those, and what is still to be looked at."""
+        found = self.board.of(JobState.WAITING, JobState.PLANNED)
+        return [one for one in found if one.name in self._names]
 
     def _running(self) -> list[Standing]:
         return self.board.of(JobState.GRANTED, JobState.STARTED)
@@ -222,7 +230,7 @@ class Conductor:
 
     def _is_over(self) -> bool:
         """Whether nothing can start any more."""
-        waiting = self.board.of(JobState.WAITING)
+        waiting = self._waiting()
         if self.draining or not waiting:
             return True
         if self._question is not None:
@@ -247,7 +255,10 @@ class Conductor:
         self._show(now=True)
         if demand.level is Level.DRAIN:
             more = "; once more stops it" if self._interruption.count else ""
-            self._people.tell(f"{demand.who}: what runs is finished, nothing more starts{more}")
+            self._people.tell(f"{demand.who}: {self._what_runs()}nothing more starts{more}")
+            if self._question is not None:
+                self._question = None
+                self._people.withdraw()
             return
         self._people.tell(f"{demand.who}: what runs is stopped")
         for one in self._running():
@@ -255,10 +266,19 @@ class Conductor:
             if worker is not None:
                 worker.interrupt()
 
+    def _what_runs(self) -> str:
+        """What is still to be finished, and how long that takes."""
+        running = self._running()
+        if not running:
+            return ""
+        names = ", ".join(f"'{one.name}'" for one in running)
+        self._expect(only_running=True)
+        return f"{names} is finished, in about {remaining(self._estimate.left() or 0.0)}; "
+
     def _drain(self, why: str) -> None:
         """Let nothing more start."""
         if self._demand.raised(Level.DRAIN, why):
-            self._people.tell(f"{why}: what runs is finished, nothing more starts")
+            self._people.tell(f"{why}: {self._what_runs()}nothing more starts")
 
     @property
     def _workers(self) -> dict[str, Worker]:
@@ -266,7 +286,7 @@ class Conductor:
 
     def _ask(self, text: str, word: str, then: Callable[[Answer], None]) -> None:
         """One question at a time; `then` gets what becomes of it."""
-        self._question = self._people.ask(text, word), then
+        self._question, self._asks = (self._people.ask(text, word), then), f"Type {word}"
 
     def _hear_people(self) -> None:
         """See whether the question was answered."""
@@ -285,7 +305,7 @@ class Conductor:
     def _seek_confirmation(self) -> None:
         """Ask for what could start, if only it might."""
         now = self._clock()
-        waiting = self.board.of(JobState.WAITING)
+        waiting = self._waiting()
         candidates = [one for one in self._may_start(waiting) if one.confirmed_until < now]
         if not candidates or self._question is not None:
             return
@@ -307,6 +327,7 @@ class Conductor:
                 self._confirm(one, f"'{asked.word}' was typed")
             else:
                 self.board.move(one, JobState.REFUSED, "not confirmed: nothing was moved")
+                self._blocks_its_group(one)
 
     def _confirm(self, one: Standing, how: str) -> None:
         assert one.looked is not None
@@ -322,16 +343,17 @@ class Conductor:
         tasks = [self._task(one) for one in self._running()]
         done = {one.name for one in self.board.of(JobState.DONE)}
         late = any(one.late > _LATE for one in self._running())
-        for one in self.board.of(JobState.WAITING):
+        for one in self._waiting():
             what = obstacle(self._task(one), tasks, done, paused=self._zones.paused, late=late)
-            one.doing = "" if self.draining else what
+            unconfirmed = "" if one.confirmed_until else "to be confirmed"
+            one.doing = "" if self.draining else what or unconfirmed
         self._people.show(self.result())
 
     # -- starting --------------------------------------------------------------------------------
 
     def _start(self) -> None:
         now = self._clock()
-        confirmed = [o for o in self.board.of(JobState.WAITING) if o.confirmed_until >= now]
+        confirmed = [o for o in self._waiting() if o.confirmed_until >= now]
         for one in self._may_start(confirmed):
             if self.board.grant(one):
                 one.since = now
@@ -346,11 +368,12 @@ class Conductor:
         order = replace(order, room=one.looked.room, options=options)
         self._crew.order(order, anew=not one.planned.is_stepping)
 
-    def _expect(self) -> None:
+    def _expect(self, *, only_running: bool = False) -> None:
         """How long it still takes."""
         now = self._clock()
         running = {self._task(one): now - one.since for one in self._running()}
-        self._estimate.renew([self._task(o) for o in self.board.of(JobState.WAITING)], running)
+        waiting = [] if only_running or self.draining else self._waiting()
+        self._estimate.renew([self._task(one) for one in waiting], running)
 
     # -- what workers say ------------------------------------------------------------------------
 
@@ -390,7 +413,7 @@ class Conductor:
             self._crew.take_back(worker)
         else:
             self._crew.let_go(worker)
-        if state is JobState.STOPPED and self._demand.who:
+        if state is JobState.STOPPED and self._demand.level is Level.STOP:
             why = f"stopped ({self._demand.who}); --again {one.name} does it again"
             self.board.explain(one, why)
         if state is JobState.DONE:
@@ -410,7 +433,7 @@ class Conductor:
         self._blocks_its_group(one)
         error = one.outcome.error if one.outcome else None
         name, zone = one.name, one.planned.zone
-        if self._stands_unknown(one):
+        if in_doubt(one.state, one.outcome):
             self._people.tell(f"'{name}': NOT VERIFIED that it is at rest: {one.why}")
             if zone:
                 self._pause(zone, f"'{name}' in it is not verified to be at rest")
@@ -420,32 +443,25 @@ class Conductor:
         self._expect()
         self._show(now=True)
 
-    @staticmethod
-    def _stands_unknown(one: Standing) -> bool:
-        """Whether nobody knows that an axis that was started is at rest."""
-        if one.state is JobState.UNKNOWN:
-            return True
-        return one.state in FAILED and one.outcome is not None and not one.outcome.at_rest
-
     def _blocks_its_group(self, one: Standing) -> None:
         group = one.planned.group
         if not group or one.state not in FAILED:
             return
-        if self.fleet.groups[group].on_failure == "stop-group" or self._stands_unknown(one):
+        if self.fleet.groups[group].on_failure == "stop-group" or in_doubt(one.state, one.outcome):
             self._block_group(group, f"'{one.name}' of its group '{group}' is {one.state}")
 
     def _block_group(self, group: str, why: str) -> None:
-        for other in self.board.of(JobState.WAITING, JobState.PLANNED):
+        for other in self._to_come():
             if other.planned.group == group:
                 self.board.move(other, JobState.BLOCKED, why)
 
     def _block(self) -> None:
         """What waits for an axis that will not be done in this run."""
-        hopeful = {o.name for o in self.board.of(JobState.WAITING, JobState.PLANNED)}
+        hopeful = {o.name for o in self._to_come()}
         hopeful |= {o.name for o in self._running()} | {
             o.name for o in self.board.of(JobState.DONE)
         }
-        for one in self.board.of(JobState.WAITING):
+        for one in self._waiting():
             lost = [name for name in one.planned.after if name not in hopeful]
             if lost:
                 state = self.board[lost[0]].state
@@ -463,9 +479,9 @@ class Conductor:
                 f"zone '{one.planned.zone}' goes on: '{one.name}' in it stays enabled, so that it "
                 "was no emergency stop"
             )
-        held = self._zones.held(self.board.of(JobState.WAITING), self._running())
+        held = self._zones.held(self._waiting(), self._running())
         self._go(FleetState.PAUSED if held else FleetState.RUNNING)
-        if held and self._question is None and self._in_advance is None and not self.draining:
+        if held and self._question is None and self._can_ask and not self.draining:
             text = (
                 f"Zone '{held[0]}' is paused. When all its axes are at rest, its emergency stop is "
                 "released and nobody is in it:"
@@ -474,7 +490,7 @@ class Conductor:
 
     def _told_of_zone(self, zone: str, answer: Answer) -> None:
         self._zones.free(zone)
-        for one in self.board.of(JobState.WAITING):
+        for one in self._waiting():
             if one.planned.zone != zone:
                 continue
             one.confirmed_until = 0.0  # what was seen before is not what is there now

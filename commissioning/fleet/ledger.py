@@ -20,9 +20,16 @@ from typing import Any, NamedTuple, TypeVar
 from commissioning.errors import JournalError
 from commissioning.journal_file import OpenJournal, slug
 from commissioning.processes import boot, is_alive, this_process
-from commissioning.result.fleet import ENDED, Confirmed, FleetState, JobState, Outcome
+from commissioning.result.fleet import (
+    ENDED,
+    Confirmed,
+    FleetJob,
+    FleetState,
+    JobState,
+    Outcome,
+)
 from commissioning.result.fleet_codec import json_of, of_json
-from profiles.errors import UnknownName
+from profiles.errors import UnknownName, UsageError
 
 __all__ = ["FleetRecord", "Ledger", "LedgerRow", "Place"]
 
@@ -53,7 +60,7 @@ class FleetRecord:
     created: float
     name: str
     file: str
-    job: str
+    job: FleetJob
     definition: str
     state: FleetState
     host: str
@@ -182,20 +189,44 @@ class Ledger(OpenJournal):
             row = self._db.execute("SELECT request FROM fleet_runs WHERE id=?", (run,)).fetchone()
         return str(row["request"]) if row else ""
 
-    def record(self, run: str, name: str | None = None) -> FleetRecord:
-        """A fleet run by its id, or the `last` (of the fleet `name`); raises UnknownName."""
+    def record(self, run: str, file: Path | None = None) -> FleetRecord:
+        """A fleet run by its id, or the `last` (of that `file`); raises UnknownName."""
         with self._errors():
             if run == "last":
+                of = None if file is None else str(file.resolve())
                 row = self._db.execute(
-                    "SELECT * FROM fleet_runs WHERE ? IS NULL OR name=? ORDER BY rowid DESC "
-                    "LIMIT 1", (name, name),
+                    "SELECT * FROM fleet_runs WHERE ? IS NULL OR file=? ORDER BY rowid DESC "
+                    "LIMIT 1", (of, of),
                 ).fetchone()  # fmt: skip
             else:
                 row = self._db.execute("SELECT * FROM fleet_runs WHERE id=?", (run,)).fetchone()
+            if row is None and run == "last":
+                of = f" of {file}" if file else ""
+                raise UsageError(f"no fleet run{of} yet: 'tworelay fleet run FLEET' begins one")
             if row is None:
                 recent = self._db.execute("SELECT id FROM fleet_runs ORDER BY rowid DESC LIMIT 5")
                 raise UnknownName("fleet run", run, [found["id"] for found in recent])
-            return self._sound(lambda: FleetRecord(**{**row, "state": FleetState(row["state"])}))
+            return self._record(row)
+
+    def live(self) -> list[FleetRecord]:
+        """Runs that somebody runs, or of which a process still moves an axis, the last first."""
+        with self._errors():
+            rows = self._db.execute("SELECT * FROM fleet_runs ORDER BY rowid DESC").fetchall()
+            moving = {
+                row["fleet_run"]
+                for row in self._db.execute(
+                    "SELECT * FROM fleet_axes WHERE state=?", (JobState.STARTED,)
+                ).fetchall()
+                if self._row(row).is_alive
+            }
+            found = [self._record(row) for row in rows]
+        over = FleetState.FINISHED, FleetState.STOPPED
+        return [
+            one for one in found if one.id in moving or (one.state not in over and one.is_alive)
+        ]
+
+    def _record(self, row: sqlite3.Row) -> FleetRecord:
+        return self._sound(lambda: FleetRecord(**{**row, "state": FleetState(row["state"])}))
 
     # -- axes ------------------------------------------------------------------------------------
 
@@ -279,16 +310,15 @@ class Ledger(OpenJournal):
             )
             self._tell(db, run, axis, attempt, why)
 
-    def under_way(self, name: str) -> list[tuple[str, LedgerRow]]:
-        """Axes of any run of the fleet `name` that a living process moves."""
+    def left_open(self, file: Path) -> list[tuple[str, LedgerRow]]:
+        """Axes of any run of a fleet file that were granted, or started and not ended."""
         with self._errors():
             found = self._db.execute(
                 "SELECT fleet_axes.* FROM fleet_axes JOIN fleet_runs ON fleet_run = id WHERE "
-                "name=? AND fleet_axes.state IN (?,?)",
-                (name, JobState.GRANTED, JobState.STARTED),
+                "file=? AND fleet_axes.state IN (?,?)",
+                (str(file.resolve()), JobState.GRANTED, JobState.STARTED),
             ).fetchall()
-            rows = [(str(row["fleet_run"]), self._row(row)) for row in found]
-        return [(run, row) for run, row in rows if row.is_alive]
+            return [(str(row["fleet_run"]), self._row(row)) for row in found]
 
     def attempts(self, run: str) -> list[LedgerRow]:
         """Every attempt at every axis, in the order in which they came."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -12,13 +12,13 @@ from commissioning.fleet.crew import Crew
 from commissioning.fleet.messages import Looked, Order
 from commissioning.fleet.plan import Fleet, PlannedAxis
 from commissioning.fleet.schedule import Rules, Task, startable
-from commissioning.fleet.serials import misplaced
+from commissioning.fleet.serials import NO_SERIAL, Pins, misplaced
 from commissioning.journal import Journal
 from commissioning.result.endings import Error
 from commissioning.result.fleet import JobState
 from drivers.places import same_place
 
-__all__ = ["Seen", "cut_off", "judged", "look_at_all", "rules_of", "task_of"]
+__all__ = ["Seen", "cut_off", "judged", "look_and_pin", "look_at_all", "rules_of", "task_of"]
 
 _WAIT = 0.1  # s
 _BLOCKED = "run.cut-off", "run.in-progress"  # an unfinished journal
@@ -123,14 +123,42 @@ def _seen(looked: Looked | None, error: Error | None, exit_code: int) -> Seen:
     return Seen(error=error, state=_OF_EXIT_CODE.get(exit_code, JobState.REFUSED))
 
 
+def look_and_pin(
+    fleet: Fleet,
+    axes: Sequence[PlannedAxis],
+    crew: Crew,
+    rules: Rules,
+    pins: Pins,
+    tell: Callable[[str, Seen], None],
+    check: Callable[[], None],
+) -> dict[str, Seen]:
+    """Look at each, hold each drive to its axis, and pin those that are new."""
+    seen = look_at_all(fleet, axes, crew, rules, tell, check)
+    said = {one.name: one.serial for one in fleet.axes if one.serial is not None}
+    pinned = {**pins.known, **said}
+    found = judged(seen, pinned)
+    new = {
+        name: one.looked.serial
+        for name, one in found.items()
+        if one.error is None and one.looked and name not in pinned
+    }
+    pins.pin({name: serial for name, serial in new.items() if serial not in NO_SERIAL})
+    return found
+
+
 def cut_off(fleet: Fleet, pinned: Mapping[str, str], journal: Journal) -> dict[str, str]:
-    """Axes in a group on whose drive a run was cut off, asked for or not, and which run that is."""
+    """Axes in a group on whose drive a run was cut off, asked for or not, and which run that is.
+
+    By the serial number, where it is known, and by the link.
+    """
     found = {}
     for one in fleet.axes:
-        serial = pinned.get(one.name)
-        if one.group is None or serial is None or not one.link:
+        if one.group is None or not one.link:
             continue
-        runs = journal.unfinished(serial, partial(same_place, one.link))
+        here = partial(same_place, one.link)
+        runs = journal.unfinished_on(here)
+        if (serial := pinned.get(one.name)) is not None:
+            runs += journal.unfinished(serial, here)
         if runs:
             found[one.name] = runs[0]
     return found

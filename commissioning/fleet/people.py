@@ -31,5 +31,8 @@ class People(Protocol):
     def ask(self, text: str, word: str) -> Ask:
         """Ask for a word."""
 
+    def withdraw(self) -> None:
+        """The question needs no answer any more."""
+
     def show(self, result: FleetResult) -> None:
         """The run as it is now."""

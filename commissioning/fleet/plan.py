@@ -324,6 +324,8 @@ def _place(
 
 
 def _check_names(path: Path, axes: Sequence[PlannedAxis]) -> None:
+    if any(one.name == "failed" for one in axes):
+        raise UsageError(f"{path}: 'failed' names no axis: --again failed means all that are")
     seen: dict[str, str] = {}
     for one in axes:
         before = seen.setdefault(one.name.casefold(), one.name)

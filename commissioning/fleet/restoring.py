@@ -71,6 +71,7 @@ def _runs_of(
     for one in reversed(own):
         of_process = (
             row.pid is not None and one.context.pid == row.pid and one.serial == row.serial
+            and one.axis == row.axis
             and one.context.started == row.started
         )  # fmt: skip
         if of_process and not is_alive(one.context.pid, one.context.started):

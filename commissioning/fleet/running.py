@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from commissioning.fleet.board import Board
 from commissioning.fleet.conductor import Conductor
@@ -26,7 +26,7 @@ from commissioning.fleet.taking_up import (
 )
 from commissioning.fleet.time_left import seconds_of
 from commissioning.interruption import Interruption
-from commissioning.result.fleet import FleetResult
+from commissioning.result.fleet import FleetJob, FleetResult
 from drivers.home import home
 from profiles.errors import TwoRelayError, UsageError
 
@@ -45,6 +45,7 @@ class FleetWishes:
     resume : id of a run to be taken up, or 'last'
     again : axes to be done again, or 'failed'
     terminal : somebody can be asked
+    job : instead of the file's, or of the run's that is taken up
     """
 
     only: str | None = None
@@ -53,6 +54,7 @@ class FleetWishes:
     again: tuple[str, ...] = ()
     yes: bool = False
     terminal: bool = False
+    job: FleetJob | None = None
 
 
 def run(
@@ -74,8 +76,10 @@ def run(
     with only_runner(fleet), Ledger(home()) as ledger:
         none_under_way(fleet, ledger)
         if wishes.resume is not None or wishes.again:
-            of_name = fleet.name if wishes.resume in (None, "last") else None
-            run_id = ledger.record(wishes.resume or "last", of_name).id
+            record = ledger.record(wishes.resume or "last", fleet.path)
+            run_id = record.id
+            if wishes.job is None:  # it was begun with
+                fleet = replace(fleet, job=record.job)
             if wishes.again:
                 names = again(fleet, ledger, run_id, wishes.again, names)
             else:
@@ -86,7 +90,7 @@ def run(
         crew = Crew(folder_of(run_id))
         conductor = Conductor(
             Board(fleet, ledger, run_id), ledger, crew, people, interruption,
-            pins=pins, at_once=wishes.at_once, in_advance=in_advance,
+            pins=pins, at_once=wishes.at_once, in_advance=in_advance, can_ask=wishes.terminal,
         )  # fmt: skip
         try:
             result = conductor.run(names)

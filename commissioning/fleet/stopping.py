@@ -13,17 +13,24 @@ from commissioning.fleet.ledger import Ledger, LedgerRow
 from commissioning.result.fleet import FleetState, JobState
 from drivers.errors import LinkError
 
-__all__ = ["stop_run"]
+__all__ = ["stop_runs"]
 
 _PATIENCE, _LOOK = 15.0, 0.2  # s
 _OVER = FleetState.FINISHED, FleetState.STOPPED
 
 
-def stop_run(folder: Path, run: str, *, drain: bool) -> Iterator[str]:
-    """End a run, and wait until nothing of it moves; says how that goes.
+def stop_runs(folder: Path, run: str | None, *, drain: bool) -> Iterator[str]:
+    """End a run, or all that are under way, and wait until nothing of them moves; says how.
 
     Raises LinkError where something still does after a while.
     """
+    with Ledger(folder, reading=True) as ledger:
+        runs = [ledger.record(run)] if run else ledger.live() or [ledger.record("last")]
+    for record in runs:
+        yield from _stopped(folder, record.id, drain=drain)
+
+
+def _stopped(folder: Path, run: str, *, drain: bool) -> Iterator[str]:
     with Ledger(folder) as ledger:
         record = ledger.record(run)
         is_led = record.state not in _OVER and record.is_alive
@@ -33,7 +40,7 @@ def stop_run(folder: Path, run: str, *, drain: bool) -> Iterator[str]:
             if drain:
                 return
         else:
-            yield f"fleet run {record.id}: {record.state}; no runner is under way"
+            yield f"fleet run {record.id}: no runner is under way"
             for row in ledger.rows(record.id).values():
                 if row.state is JobState.GRANTED:
                     ledger.revoke(record.id, row.axis, row.attempt, "'tworelay fleet stop'")
@@ -56,7 +63,7 @@ def stop_run(folder: Path, run: str, *, drain: bool) -> Iterator[str]:
                     f"'{row.axis}': was started, and its process is gone: 'tworelay stop' makes it "
                     "safe, 'tworelay fleet restore' puts its settings back"
                 )
-        yield "nothing of it moves"
+        yield f"nothing of fleet run {run} moves"
 
 
 def _goes_on(ledger: Ledger, run: str) -> bool:

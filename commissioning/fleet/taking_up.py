@@ -15,7 +15,7 @@ from commissioning.locks import Taken, take
 from commissioning.result.fleet import FAILED, MAY_RESUME, JobState
 from profiles.errors import Refused, UnknownName, UsageError
 
-__all__ = ["again", "begin", "chosen", "none_under_way", "only_runner", "resume", "settle_the_dead"]
+__all__ = ["again", "begin", "chosen", "none_under_way", "only_runner", "resume"]
 
 _DIFFERENCES = 3  # shown
 
@@ -96,14 +96,25 @@ def only_runner(fleet: Fleet) -> Generator[None]:
 
 
 def none_under_way(fleet: Fleet, ledger: Ledger) -> None:
-    """Raise Refused while a process of an earlier run of this fleet still moves an axis."""
-    for run, row in ledger.under_way(fleet.name):
-        raise Refused(
-            f"axis '{row.axis}' of fleet run {run} is still under way (process {row.pid}), though "
-            "its runner is gone",
-            code="run.in-progress",
-            hint="wait for it, or 'tworelay fleet stop'",
-        )
+    """What an earlier runner has granted is revoked; what was started and is no more is unknown.
+
+    Raises Refused while a process of it still moves an axis.
+    """
+    for run, row in ledger.left_open(fleet.path):
+        if row.state is JobState.GRANTED:
+            ledger.revoke(run, row.axis, row.attempt, "its runner is gone")
+    for run, row in ledger.left_open(fleet.path):
+        if row.is_alive:
+            raise Refused(
+                f"axis '{row.axis}' of fleet run {run} is still under way (process {row.pid}), "
+                "though its runner is gone",
+                code="run.in-progress",
+                hint="wait for it, or 'tworelay fleet stop'",
+            )
+        ledger.move(
+            run, row.axis, row.attempt, JobState.UNKNOWN, given=(JobState.STARTED,),
+            why="it was started, and its process is gone",
+        )  # fmt: skip
 
 
 def resume(fleet: Fleet, ledger: Ledger, run: str, names: Sequence[str]) -> tuple[str, ...]:
@@ -152,8 +163,12 @@ def again(
 
 
 def _taken_over(fleet: Fleet, ledger: Ledger, run: str) -> dict[str, LedgerRow]:
-    """The rows of a run that this process runs from now on, what was granted revoked."""
+    """The rows of a run that this process runs from now on."""
     record = ledger.record(run)
+    if record.file != str(fleet.path.resolve()):
+        raise Refused(
+            f"fleet run {run} is of {record.file}, and not of {fleet.path}", code="refused.changed"
+        )
     changed = list(differences(json.loads(record.definition), fleet.definition))
     if changed:
         more = f" (and {len(changed) - _DIFFERENCES} more)" if changed[_DIFFERENCES:] else ""
@@ -163,29 +178,5 @@ def _taken_over(fleet: Fleet, ledger: Ledger, run: str) -> dict[str, LedgerRow]:
             code="refused.changed",
             hint="put it back, or begin a new run",
         )
-    settle_the_dead(ledger, run)
     ledger.take_over(run, operator() or "")
     return ledger.rows(run)
-
-
-def settle_the_dead(ledger: Ledger, run: str) -> None:
-    """Revoke what nobody has started; what was started and has no process any more is unknown.
-
-    Raises Refused where one still has.
-    """
-    for name, row in ledger.rows(run).items():
-        if row.state is JobState.GRANTED and ledger.revoke(run, name, row.attempt, "taken over"):
-            continue
-        row = ledger.rows(run)[name]  # noqa: PLW2901  it may have started just now
-        if row.state is not JobState.STARTED:
-            continue
-        if row.is_alive:
-            raise Refused(
-                f"axis '{name}' of fleet run {run} is still under way (process {row.pid})",
-                code="run.in-progress",
-                hint="wait for it, or 'tworelay fleet stop'",
-            )
-        ledger.move(
-            run, name, row.attempt, JobState.UNKNOWN, given=(JobState.STARTED,),
-            why="it was started, and its process is gone",
-        )  # fmt: skip

@@ -5,25 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime
 
+from commissioning.fleet.acts import outcome_now
 from commissioning.fleet.ledger import FleetRecord, Ledger, LedgerRow, Place
 from commissioning.fleet.plan import Fleet
+from commissioning.journal import Journal
 from commissioning.result.document import Tool
 from commissioning.result.fleet import (
     ENDED,
+    FAILED,
     FLEET_SCHEMA,
     FleetAxis,
-    FleetJob,
     FleetResult,
     FleetState,
     JobState,
 )
 
-__all__ = ["by_the_ledger", "iso", "not_begun", "view"]
+__all__ = ["by_the_ledger", "iso", "not_begun", "view", "ways_on"]
 
-_ABANDONED = (
-    "its runner is gone: 'tworelay fleet run FLEET --resume' goes on, 'tworelay fleet restore' "
-    "finishes what was cut off"
-)
 _GONE = "it was started, and its process is gone"
 
 
@@ -38,12 +36,32 @@ def view(
     rehearsed: bool = False,
 ) -> FleetResult:
     """A fleet run with its axes."""
-    job: FleetJob = record.job  # type: ignore[assignment]
     return FleetResult(
-        FLEET_SCHEMA, record.id, record.name, job, record.file, state or record.state, tool,
+        FLEET_SCHEMA, record.id, record.name, record.job, record.file, state or record.state, tool,
         record.host or None, record.operator or None, iso(record.created), iso(record.ended),
         left, rehearsed, tuple(axes), notes,
     )  # fmt: skip
+
+
+def ways_on(result: FleetResult) -> tuple[str, ...]:
+    """What is to be done about axes that are not done, the most urgent first."""
+    if result.rehearsed:
+        return ("a rehearsal: no drive of the file was touched",)
+    again = f"tworelay fleet run {result.file}"
+    lines = [
+        f"'{one.name}': NOT VERIFIED that it is at rest: look at it, the emergency stop in reach; "
+        f"'tworelay stop \"{one.link}\"', then 'tworelay fleet restore'"
+        for one in result.in_doubt
+    ]
+    if any(one.outcome and not one.outcome.put_back for one in result.axes):
+        lines.append("settings are NOT put back: 'tworelay fleet restore' tries again")
+    if failed := result.count(*FAILED):
+        lines.append(f"{failed} not done: '{again} --again failed' tries again")
+    if left := result.count(JobState.PLANNED, JobState.WAITING, JobState.REVOKED):
+        lines.append(f"{left} not started: '{again} --resume' goes on")
+    if blocked := result.count(JobState.BLOCKED):
+        lines.append(f"{blocked} blocked: when what is in the way is done, '{again} --resume'")
+    return tuple(lines)
 
 
 def not_begun(fleet: Fleet, why: str, tool: Tool | None) -> FleetResult:
@@ -58,11 +76,13 @@ def not_begun(fleet: Fleet, why: str, tool: Tool | None) -> FleetResult:
     )  # fmt: skip
 
 
-def by_the_ledger(ledger: Ledger, run: str, tool: Tool | None) -> FleetResult:
-    """A fleet run as its ledger has it now; nothing is changed there."""
+def by_the_ledger(
+    ledger: Ledger, run: str, tool: Tool | None, journal: Journal | None = None
+) -> FleetResult:
+    """A fleet run as its ledger has it now, and its drives by the `journal`."""
     record = ledger.record(run)
     rows = ledger.rows(record.id)
-    axes = [_axis(row, record.place(row.axis)) for row in rows.values()]
+    axes = [_axis(row, record.place(row.axis), journal) for row in rows.values()]
     over = record.state in (FleetState.FINISHED, FleetState.STOPPED)
     notes: tuple[str, ...] = ()
     state = record.state
@@ -73,18 +93,24 @@ def by_the_ledger(ledger: Ledger, run: str, tool: Tool | None) -> FleetResult:
             f"its runner is gone, and process {row.pid} still moves '{row.axis}': wait for it, or "
             "'tworelay fleet stop'"
             for row in moving
-        ) or (_ABANDONED,)
+        ) or ("its runner is gone",)
+    notes = (*notes, *ways_on(view(record, axes, state)))
     return view(record, axes, state, tool, notes=notes, rehearsed=record.rehearsed)
 
 
-def _axis(row: LedgerRow, place: Place) -> FleetAxis:
+def _axis(row: LedgerRow, place: Place, journal: Journal | None) -> FleetAxis:
     state, why = row.state, row.why
     if state is JobState.STARTED and not row.is_alive:
         state, why = JobState.UNKNOWN, _GONE
+    outcome = row.outcome
+    if outcome is not None and journal is not None:
+        outcome = outcome_now(outcome, journal)
+        if row.outcome and row.outcome.written and not outcome.written:
+            why = f"{why}; its values were put back since".removeprefix("; ")
     return FleetAxis(
         row.axis, state, row.attempt, place.link, place.group, place.zone,
         row.serial or None, why=why, confirmed=row.confirmed, began=iso(row.began),
-        ended=iso(row.at) if state in ENDED else None, outcome=row.outcome,
+        ended=iso(row.at) if state in ENDED else None, outcome=outcome,
     )  # fmt: skip
 
 

@@ -128,7 +128,7 @@ def _job(order: Order, interruption: Interruption, mouth: _Mouth) -> None:
             if not granted:
                 mouth.say(Report("void", text=str(error)))
                 return
-            ended = ended or (_state(error), Outcome(error=error_of(error), at_rest=True))
+            ended = ended or (_state(error), Outcome(error=error_of(error)))
         except Exception as error:
             ended = JobState.UNKNOWN, Outcome(error=_bug(error))
         if ended is None:
@@ -136,7 +136,7 @@ def _job(order: Order, interruption: Interruption, mouth: _Mouth) -> None:
             return
         state, outcome = ended
         with contextlib.suppress(Interrupted), interruption.deferred():
-            why = outcome.error.text if outcome.error else ""
+            why = outcome.error.text if outcome.error else outcome.remark
             try:
                 ledger.end(*of_it, state, outcome, why)
             except TwoRelayError as error:

@@ -28,6 +28,7 @@ __all__ = [
     "JobState",
     "Outcome",
     "Room",
+    "in_doubt",
 ]
 
 FLEET_SCHEMA: Literal["tworelay.fleet/1"] = "tworelay.fleet/1"
@@ -123,7 +124,9 @@ class Outcome:
     before, after : error after reversals, peak, in `position_unit`; None: not proved
     percent : by how much it has fallen
     ending : the line of truth: axis, settings, what is in the drive
+    put_back : the experiment's settings are, or none were changed
     at_rest : the axis was seen at rest and off, or held by its brake; or was never moved
+    remark : what else there is to say of a job that is done
     seconds : of the job
     sha256 : of the run's result file
     """
@@ -142,14 +145,23 @@ class Outcome:
     after: Finite | None = None
     percent: Finite | None = None
     ending: Text = ""
+    put_back: bool = True
     at_rest: bool = False
     error: Error | None = None
+    remark: Text = ""
     seconds: Finite = 0.0
     sha256: Text | None = None
 
     def in_drive(self, change: Change) -> Written | None:
         """What the drive has of a change, at the end; None: what it had before."""
         return next((one for one in self.written if one.parameter == change.parameter), None)
+
+
+def in_doubt(state: JobState, outcome: Outcome | None) -> bool:
+    """Whether nobody knows that an axis that was started is at rest."""
+    if state is JobState.UNKNOWN:
+        return True
+    return state in FAILED and outcome is not None and not outcome.at_rest
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,6 +225,11 @@ class FleetResult:
     def count(self, *states: JobState) -> int:
         """How many axes are in one of these states."""
         return sum(axis.state in states for axis in self.axes)
+
+    @property
+    def in_doubt(self) -> tuple[FleetAxis, ...]:
+        """Axes of which nobody knows that they are at rest."""
+        return tuple(one for one in self.axes if in_doubt(one.state, one.outcome))
 
     @property
     def exit_code(self) -> int:

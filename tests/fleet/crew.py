@@ -124,6 +124,9 @@ class FakePeople:
 
         return answered
 
+    def withdraw(self) -> None:
+        self.is_asked = False
+
     def show(self, result: FleetResult) -> None:
         self.last = result
 
@@ -154,6 +157,7 @@ class Stage:
         self.interruption = Interruption()
         self.people = FakePeople({})
         self.in_advance: str | None = "in a test"
+        self.can_ask = False
         self.at_once: int | None = 4
 
     def _at(self, number: int) -> None:
@@ -167,7 +171,8 @@ class Stage:
         conductor = Conductor(
             Board(self.fleet, self.ledger, self.run_id), self.ledger, self.crew, self.people,  # type: ignore[arg-type]
             self.interruption, pins=Pins(self.fleet.path), at_once=self.at_once,
-            in_advance=self.in_advance, clock=lambda: self.now,
+            in_advance=self.in_advance, can_ask=self.in_advance is None or self.can_ask,
+            clock=lambda: self.now,
         )  # fmt: skip
         self.conductor = conductor
         with self.interruption.deferred():

@@ -12,8 +12,11 @@ from commissioning.errors import Interrupted, JournalError
 from commissioning.fleet.messages import Report
 from commissioning.fleet.people import Answer
 from commissioning.fleet.taking_up import again, resume
+from commissioning.journal import Journal
+from commissioning.records import RunContext
 from commissioning.result.endings import Error
 from commissioning.result.fleet import FAILED, FleetState, JobState, Outcome
+from drivers.home import home
 from tests.fleet.crew import Stage, failed, good
 
 YES, NO = Answer.YES, Answer.NO
@@ -453,3 +456,103 @@ def test_the_order_holds_what_was_confirmed(stage: MakeStage) -> None:
     (order,) = one.crew.orders
     assert order.room == one.ledger.rows(one.run_id)["a"].confirmed.room
     assert order.options.serial == one.ledger.rows(one.run_id)["a"].serial
+
+
+# -- what an earlier part of the run has left ------------------------------------------------------
+
+
+def test_only_what_is_asked_for_goes_on(stage: MakeStage) -> None:
+    """An earlier part has left axes waiting: nobody asks for them, and nobody moves them."""
+    one = stage(text("abc"))
+    one.at_once = 1
+    one.does["a"] = []
+    one.steps[10] = lambda: one.ledger.ask(one.run_id, "drain")
+    one.steps[30] = lambda: one.crew.say("a", *good())
+    one.run()
+    assert one.states() == {"a": "done", "b": "waiting", "c": "waiting"}
+    one.steps = {}
+    one.in_advance = None
+    one.people.answers = {"a": YES, "c": YES}
+    one.does["a"] = good()
+    one.run(again(one.fleet, one.ledger, one.run_id, ["a"], "abc"))
+    assert one.states() == {"a": "done", "b": "waiting", "c": "waiting"}
+    one.run(resume(one.fleet, one.ledger, one.run_id, "c"))
+    assert one.states() == {"a": "done", "b": "waiting", "c": "done"}
+    assert [word for word, _ in one.people.asked] == ["a", "c"]
+
+
+def test_a_zone_stays_paused_beside_an_axis_that_is_not_verified(stage: MakeStage) -> None:
+    one = stage(text("ab", ZONE, keys='zone = "z"\n'))
+    one.at_once = 1
+    one.does["a"] = lost("a")
+    one.run()
+    assert one.states() == {"a": "link", "b": "waiting"}
+    one.run(resume(one.fleet, one.ledger, one.run_id, "ab"))
+    assert one.states() == {"a": "link", "b": "waiting"}
+    one.does["a"] = good()
+    one.run(again(one.fleet, one.ledger, one.run_id, ["a"], "ab"))
+    one.run(resume(one.fleet, one.ledger, one.run_id, "ab"))
+    assert one.states() == {"a": "done", "b": "done"}
+
+
+def test_a_drive_that_is_disabled_wakes_no_zone_that_is_paused_for_more(stage: MakeStage) -> None:
+    one = stage(text("abcd", "[zones.z]\n", keys='zone = "z"\n'))
+    one.at_once = 3
+    one.does["a"] = lost("a")
+    one.does["b"] = []
+    one.does["c"] = []
+    one.steps[20] = lambda: one.crew.say("b", *failed(JobState.FAULT, "drive.left"))
+    for at in (30, 40):
+        one.steps[at] = lambda: one.crew.say("c", Report("pulse", moving=True))
+    one.steps[60] = lambda: one.crew.say("c", *good())
+    one.run()
+    assert one.states() == {"a": "link", "b": "fault", "c": "done", "d": "waiting"}
+
+
+def test_a_run_that_was_cut_off_blocks_the_group_of_its_axis(stage: MakeStage) -> None:
+    one = stage(text("ab", "[groups.g]\n", keys='group = "g"\n'))
+    one.seen["a"] = Error("run.cut-off", "run r on this drive was cut off")
+    with Journal(home()) as journal:
+        run = journal.begin(
+            axis="a", link="virtual://bench?seed=1", profile="p", profile_hash="", serial="0x61",
+            context=RunContext("{}"),
+        )  # fmt: skip
+        journal.intend(run, "experiment", "max_torque", 1, 2)
+    one.run()
+    assert one.states() == {"a": "blocked", "b": "blocked"}
+    one = stage(text("ab", "[groups.g]\n", keys='group = "g"\n'))
+    one.run(["b"])
+    assert one.states()["b"] == "blocked", "a was not even looked at"
+
+
+def test_a_row_that_somebody_else_has_moved_is_let_be(stage: MakeStage) -> None:
+    one = stage(text("ab"))
+    one.at_once = 1
+    one.does["a"] = []
+
+    def elsewhere() -> None:
+        one.ledger.move(one.run_id, "b", 1, JobState.STOPPED, why="by another")
+        one.crew.say("a", *good())
+
+    one.steps[30] = elsewhere
+    one.run()
+    assert one.states() == {"a": "done", "b": "stopped"}
+    assert [order.name for order in one.crew.orders] == ["a"]
+
+
+def test_one_that_is_not_let_move_blocks_its_group(stage: MakeStage) -> None:
+    one = stage(text("ab", "[groups.g]\n", "each", 'group = "g"\n'))
+    one.in_advance = None
+    one.people.answers = {"a": NO, "b": YES}
+    one.run()
+    assert one.states() == {"a": "refused", "b": "blocked"}
+
+
+def test_a_zone_is_asked_for_where_all_else_was_confirmed_in_advance(stage: MakeStage) -> None:
+    one = stage(text("ab", ZONE, keys='zone = "z"\n'))
+    one.at_once = 1
+    one.can_ask = True
+    one.does["a"] = failed(JobState.FAULT, "drive.left")
+    one.people.answers = {"z": YES}
+    one.run()
+    assert one.states() == {"a": "fault", "b": "done"}

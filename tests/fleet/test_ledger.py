@@ -11,10 +11,11 @@ import pytest
 
 from commissioning.errors import JournalError
 from commissioning.fleet.ledger import Ledger
-from commissioning.fleet.taking_up import settle_the_dead
+from commissioning.fleet.plan import Fleet, load_fleet
+from commissioning.fleet.taking_up import none_under_way
 from commissioning.journal import Journal
 from commissioning.result.fleet import ENDED, Confirmed, JobState, Outcome, Room
-from profiles.errors import Refused, UnknownName
+from profiles.errors import Refused, UnknownName, UsageError
 from tests.raising import raises
 
 CONFIRMED = Confirmed("me", "2026-11-26T12:00:00+00:00", "typed", Room(1.0, 2.0, 3.0))
@@ -23,7 +24,9 @@ S = JobState
 
 def begun(folder: Path, *names: str) -> tuple[Ledger, str]:
     ledger = Ledger(folder)
-    run = ledger.begin("line", folder / "line.toml", "identify", '{"axes": {}}', "me", names)
+    run = ledger.begin(
+        "line", (folder / "line.toml").resolve(), "identify", '{"axes": {}}', "me", names
+    )
     return ledger, run
 
 
@@ -54,6 +57,12 @@ def test_one_of_many_starts_and_the_others_must_not(tmp_path: Path) -> None:
         assert state is (S.STARTED if won[0] % 2 == 0 else S.REVOKED)
 
 
+def of(folder: Path) -> Fleet:
+    path = folder / "line.toml"
+    path.write_text('job = "identify"\n[[axes]]\nname = "x"\nlink = "virtual://bench"\n', "utf-8")
+    return load_fleet(path)
+
+
 @pytest.mark.parametrize("state", [s for s in S if s is not S.GRANTED])
 def test_only_what_is_granted_is_started(state: JobState, tmp_path: Path) -> None:
     ledger, run = begun(tmp_path, "x")
@@ -75,7 +84,7 @@ def test_a_late_process_of_an_attempt_before_finds_it_revoked(tmp_path: Path) ->
     ledger, run = begun(tmp_path, "x")
     with ledger:
         ledger.grant(run, "x", 1, CONFIRMED, "0x1")
-        settle_the_dead(ledger, run)
+        none_under_way(of(tmp_path), ledger)
         ledger.again(run, {"x": 1})
         assert ledger.grant(run, "x", 2, CONFIRMED, "0x1")
         assert not ledger.start(run, "x", 1)
@@ -89,12 +98,12 @@ def test_what_was_started_and_has_no_process_is_unknown(tmp_path: Path) -> None:
             ledger.grant(run, name, 1, CONFIRMED, "0x1")
             ledger.start(run, name, 1)
         with raises(Refused, "run.in-progress"):
-            settle_the_dead(ledger, run)  # it is this very process
+            none_under_way(of(tmp_path), ledger)  # it is this very process
         with sqlite3.connect(tmp_path / "journal.sqlite") as db:
             db.execute("UPDATE fleet_axes SET boot='another' WHERE axis='x'")
             db.execute("UPDATE fleet_axes SET started=started+100 WHERE axis='y'")
         db.close()
-        settle_the_dead(ledger, run)
+        none_under_way(of(tmp_path), ledger)
         assert {row.state for row in ledger.rows(run).values()} == {S.UNKNOWN}
 
 
@@ -138,7 +147,7 @@ def test_a_journal_of_before_is_read_and_extended(tmp_path: Path) -> None:
         for name in ("fleet_events", "fleet_axes", "fleet_runs"):
             db.execute(f"DROP TABLE {name}")
     db.close()
-    with Ledger(tmp_path, reading=True) as ledger, pytest.raises(UnknownName):
+    with Ledger(tmp_path, reading=True) as ledger, pytest.raises(UsageError, match="no fleet run"):
         ledger.record("last")
     ledger, run = begun(tmp_path, "x")
     ledger.close()

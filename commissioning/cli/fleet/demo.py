@@ -14,7 +14,7 @@ from commissioning.interruption import Interruption
 from commissioning.processes import start
 from commissioning.result.fleet import JobState
 from drivers.home import home
-from profiles.errors import UnknownName
+from profiles.errors import UsageError
 
 __all__ = ["run_demo"]
 
@@ -115,7 +115,7 @@ def _done_since(begun: float) -> int:
     with Ledger(home(), reading=True) as ledger:
         try:
             record = ledger.record("last")
-        except UnknownName:
+        except UsageError:
             return 0
         if record.created < begun:
             return 0

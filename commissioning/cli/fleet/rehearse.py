@@ -48,7 +48,7 @@ def command(
     from drivers.home import home
 
     check_outputs(junit, json_target, csv_target)
-    screen = Screen(json_target, yes=True)
+    screen = Screen("-" if "-" in (junit, json_target, csv_target) else None, yes=True)
     plan = load_fleet(fleet, job)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))

@@ -24,11 +24,12 @@ def command(run: str, junit: str | None, json_target: str | None, csv_target: st
     from commissioning.fleet.ledger import Ledger
     from commissioning.fleet.pages import Pages, folder_of
     from commissioning.fleet.view import by_the_ledger
+    from commissioning.journal import Journal
     from drivers.home import home
 
     check_outputs(junit, json_target, csv_target)
-    with Ledger(home(), reading=True) as ledger:
-        result = by_the_ledger(ledger, run, tool())
+    with Ledger(home(), reading=True) as ledger, Journal(home(), reading=True) as journal:
+        result = by_the_ledger(ledger, run, tool(), journal)
     written = Pages().write(result)
     if not written:
         raise UsageError(f"{folder_of(result.fleet_run)}: cannot be written to")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
@@ -80,10 +80,10 @@ def command(
         raise UsageError("--resume and --again exclude each other: first the one, then the other")
     if dry_run and (resume is not None or again):
         raise UsageError("--dry-run looks at what a new run would do: without --resume and --again")
-    screen = Screen(json_target, yes=False)
+    screen = Screen("-" if "-" in (junit, json_target, csv_target) else None, yes=False)
     plan = load_fleet(fleet, job)
     terminal = sys.stdin is not None and sys.stdin.isatty()
-    wishes = FleetWishes(only, at_once, resume, again, yes=yes, terminal=terminal)
+    wishes = FleetWishes(only, at_once, resume, again, yes, terminal, job)
     if dry_run:
         sys.exit(looked_at(plan, wishes, screen, json_target, with_writes=True))
     conduct(plan, wishes, screen, Outputs(junit, json_target, csv_target))
@@ -101,6 +101,8 @@ def check_outputs(junit: str | None, json_target: str | None, csv_target: str | 
     """See before anything is done that all can be written; raises UsageError."""
     for target, option in ((junit, "--junit"), (json_target, "--json"), (csv_target, "--csv")):
         check_json(target, option)
+    if [junit, json_target, csv_target].count("-") > 1:
+        raise UsageError("standard output takes one of --junit, --json and --csv")
 
 
 def conduct(plan: Fleet, wishes: FleetWishes, screen: Screen, outputs: Outputs) -> NoReturn:
@@ -109,7 +111,7 @@ def conduct(plan: Fleet, wishes: FleetWishes, screen: Screen, outputs: Outputs) 
     from commissioning.ending import tool
     from commissioning.fleet.pages import Pages
     from commissioning.fleet.running import run
-    from commissioning.fleet.view import not_begun
+    from commissioning.fleet.view import not_begun, ways_on
     from commissioning.interruption import Interruption
 
     pages = Pages()
@@ -130,7 +132,7 @@ def conduct(plan: Fleet, wishes: FleetWishes, screen: Screen, outputs: Outputs) 
         final_table(result, screen)
         for path in pages.write(result):
             screen.say(str(path))
-        for line in _ways_on(result):
+        for line in ways_on(result):
             screen.say(line)
         write_outputs(result, *outputs)
         if error is not None:
@@ -140,19 +142,6 @@ def conduct(plan: Fleet, wishes: FleetWishes, screen: Screen, outputs: Outputs) 
     sys.exit(result.exit_code)
 
 
-def _ways_on(result: FleetResult) -> Iterator[str]:
-    """What can be done about axes that are not done."""
-    from commissioning.result.fleet import FAILED, MAY_RESUME
-
-    again = "tworelay fleet run FLEET"
-    if result.rehearsed:
-        return
-    if left := result.count(*MAY_RESUME):
-        yield f"{left} not started: '{again} --resume' goes on with them"
-    if failed := result.count(*FAILED):
-        yield f"{failed} not done: '{again} --again failed' tries them again"
-
-
 def write_outputs(
     result: FleetResult, junit: str | None, json_target: str | None, csv_target: str | None
 ) -> None:
@@ -160,13 +149,13 @@ def write_outputs(
     from commissioning.fleet.outputs import csv_text, junit_text
     from commissioning.result.fleet_codec import fleet_text
 
-    if json_target == "-":
-        document(fleet_text(result))
     for option, target, text in (
         ("--json", json_target, fleet_text),
         ("--junit", junit, junit_text),
         ("--csv", csv_target, csv_text),
     ):
+        if target == "-":
+            document(text(result))
         if target is None or target == "-":
             continue
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Generator
 from dataclasses import replace
+from textwrap import wrap
 from typing import Any
 from unicodedata import normalize
 
@@ -24,6 +25,7 @@ _STYLES = {
     **dict.fromkeys(FAILED, "red"),
 }  # fmt: skip
 _QUIET = JobState.PLANNED, JobState.WAITING, JobState.GRANTED  # told by the table alone
+_LONGEST = 160  # characters of a reason
 _WIDEST = 30  # characters of a column that is never cut
 _AROUND = 6  # lines of a screen that a table needs beside its rows
 _TRIES = 3  # at a word that is to be typed
@@ -53,9 +55,7 @@ def _gain(one: FleetAxis) -> str:
 
 
 def _what(one: FleetAxis) -> str:
-    if one.doing:
-        return one.doing
-    return one.why
+    return one.doing or _brief(one.why)
 
 
 def summary(result: FleetResult) -> str:
@@ -75,7 +75,7 @@ class FleetScreen:
         self._screen = screen
         self._watchers = watchers
         self._live: Any = None
-        self._asking = False
+        self._word = ""  # that is asked for
         self._said: dict[str, str] = {}
 
     @contextlib.contextmanager
@@ -95,9 +95,10 @@ class FleetScreen:
                 self._live = None
 
     def tell(self, text: str) -> None:
-        """One line."""
-        if self._live is None:
-            self._screen.say(text)
+        """One line; above the question, if there is one."""
+        if self._live is None or self._word:
+            self._screen.say(f"\n{text}" if self._word else text)
+            self._prompt()
             return
         with giving_up(err=self._screen.to_stderr):
             self._live.console.print(plain(text), highlight=False, markup=False)
@@ -106,33 +107,31 @@ class FleetScreen:
         """The run as it is now: a table that moves, or a line for each axis that has ended."""
         for watcher in self._watchers:
             watcher(result)
-        if self._live is None:
-            self._say_changes(result)
-        elif not self._asking:
-            room = self._live.console.height - _AROUND
-            with giving_up(err=self._screen.to_stderr):
-                self._live.update(_table(_most_telling(result, room), result), refresh=True)
-
-    def _say_changes(self, result: FleetResult) -> None:
-        """What has changed since the last picture; the first one is of an earlier part."""
         now = {one.name: str(one.state) for one in result.axes}
         before, self._said = self._said or now, now
-        for one in result.axes:
-            if before[one.name] == one.state or one.state in _QUIET:
-                continue
-            parts = [_friction(one), _gain(one) and f"{_gain(one)} less error", one.why]
-            self._screen.say(f"{one.name}: {one.state}  {'; '.join(filter(None, parts))}".rstrip())
+        if self._live is None or self._word:  # the table waits for the answer
+            for one in result.axes:
+                if before[one.name] != one.state and one.state not in _QUIET:
+                    self.tell(_line(one))
+            return
+        console = self._live.console
+        shown = _most_telling(result, console.height - _AROUND)
+        with giving_up(err=self._screen.to_stderr):
+            self._live.update(_table(shown, result, within=console.width), refresh=True)
 
     def ask(self, text: str, word: str) -> Ask:
-        """Ask beside what goes on; the table waits for the answer."""
-        self._asking = True
+        """Ask beside what goes on."""
         if self._live is not None:
             self._live.update("", refresh=True)
             self._live.stop()
+        width = self._screen.console().width
         for line in text.splitlines():
-            self._screen.say(line)
+            indent = " " * (len(line) - len(line.lstrip()) + 2)
+            for part in wrap(line, width, subsequent_indent=indent) or [""]:
+                self._screen.say(part)
         keyboard = Keyboard()
-        self._prompt(word)
+        self._word = word
+        self._prompt()
         tries = _TRIES
 
         def answered() -> Answer | None:
@@ -144,19 +143,35 @@ class FleetScreen:
             if line and typed and typed != normalize("NFC", word) and tries > 1:
                 tries -= 1
                 self._screen.say(f"that is not {word}; Enter alone says no")
-                self._prompt(word)
+                self._prompt()
                 return None
-            self._asking = False
-            if self._live is not None:
-                self._live.start()
+            self.withdraw()
             if not line:
                 return Answer.NOBODY
             return Answer.YES if typed == normalize("NFC", word) else Answer.NO
 
         return answered
 
-    def _prompt(self, word: str) -> None:
-        document(f"Type {plain(word)} to go on: ", err=self._screen.to_stderr)
+    def withdraw(self) -> None:
+        """The question needs no answer any more."""
+        self._word = ""
+        if self._live is not None:
+            self._live.start()
+
+    def _prompt(self) -> None:
+        if self._word:
+            document(f"Type {plain(self._word)} to go on: ", err=self._screen.to_stderr)
+
+
+def _line(one: FleetAxis) -> str:
+    """What has become of an axis, where there is no table."""
+    parts = [_friction(one), _gain(one) and f"{_gain(one)} less error", _brief(one.why)]
+    return f"{one.name}: {one.state}  {'; '.join(filter(None, parts))}".rstrip()
+
+
+def _brief(text: str) -> str:
+    """As much of a text as a table bears; the whole is in the pages."""
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
 
 
 def _most_telling(result: FleetResult, room: int) -> FleetResult:
@@ -176,8 +191,8 @@ def _rank(state: JobState) -> int:
     return 2 if state in _QUIET else 3
 
 
-def _table(result: FleetResult, run: FleetResult, *, whole: bool = False) -> Any:
-    """Some axes of a run; `whole`: what does not fit is folded, not cut."""
+def _table(result: FleetResult, run: FleetResult, *, within: int | None = None) -> Any:
+    """Some axes of a run; `within`: so many columns, in which each axis has one line."""
     from rich.table import Table
 
     left_out = len(run.axes) - len(result.axes)
@@ -185,13 +200,20 @@ def _table(result: FleetResult, run: FleetResult, *, whole: bool = False) -> Any
     title = plain(f"{run.name}: {summary(run)}{more}")
     table = Table(title=title, title_justify="left", title_style="bold")
     cells = [list(map(plain, row)) for row in rows(result)]
+    widths = [
+        min(max((len(row[n]) for row in [*cells, list(_COLUMNS)]), default=0), _WIDEST)
+        for n in range(len(_COLUMNS) - 1)
+    ]
+    last = len(_COLUMNS) - 1
     for n, column in enumerate(_COLUMNS):
-        is_last = n == len(_COLUMNS) - 1
-        widest = max((len(row[n]) for row in cells), default=0)
         table.add_column(
-            column, no_wrap=not (is_last and whole), overflow="fold" if whole else "ellipsis",
-            min_width=None if is_last else min(max(widest, len(column)), _WIDEST),
+            column, no_wrap=n < last, overflow="fold" if n == last else "ellipsis",
+            width=widths[n] if n < last else None,
         )  # fmt: skip
+    if within is not None:
+        room = max(within - sum(widths) - 3 * len(_COLUMNS) - 1, 1)
+        for row in cells:
+            row[last] = row[last] if len(row[last]) <= room else f"{row[last][: room - 1]}…"
     for one, row in zip(result.axes, cells, strict=True):
         table.add_row(*row, style=_STYLES.get(one.state))
     return table
@@ -200,4 +222,4 @@ def _table(result: FleetResult, run: FleetResult, *, whole: bool = False) -> Any
 def final_table(result: FleetResult, screen: Screen) -> None:
     """The run as it has ended."""
     with giving_up(err=screen.to_stderr):
-        screen.console().print(_table(result, result, whole=True), markup=False)
+        screen.console().print(_table(result, result), markup=False)

@@ -21,11 +21,12 @@ def command(run: str, as_json: bool) -> None:
     from commissioning.ending import tool
     from commissioning.fleet.ledger import Ledger
     from commissioning.fleet.view import by_the_ledger
+    from commissioning.journal import Journal
     from commissioning.result.fleet_codec import fleet_text
     from drivers.home import home
 
-    with Ledger(home(), reading=True) as ledger:
-        result = by_the_ledger(ledger, run, tool())
+    with Ledger(home(), reading=True) as ledger, Journal(home(), reading=True) as journal:
+        result = by_the_ledger(ledger, run, tool(), journal)
     if as_json:
         document(fleet_text(result))
         return

@@ -11,17 +11,17 @@ __all__ = ["command"]
 
 
 @click.command("stop")
-@click.argument("run", required=False, default="last", metavar="[ID]")
+@click.argument("run", required=False, metavar="[ID]")
 @click.option("--drain", is_flag=True, help="What moves is finished; nothing more starts.")
 @verbose
-def command(run: str, drain: bool) -> None:
-    """End the fleet run ID (default: the last): what moves is stopped, nothing more starts.
+def command(run: str | None, drain: bool) -> None:
+    """End fleet run ID (default: all under way): what moves is stopped, nothing more starts.
 
     Where its runner is gone, the processes that still move its axes are told.
     """
-    from commissioning.fleet.stopping import stop_run
+    from commissioning.fleet.stopping import stop_runs
     from drivers.home import home
 
     screen = Screen(None, yes=True)
-    for line in stop_run(home(), run, drain=drain):
+    for line in stop_runs(home(), run, drain=drain):
         screen.say(line)

@@ -434,7 +434,8 @@ class Conductor:
         error = one.outcome.error if one.outcome else None
         name, zone = one.name, one.planned.zone
         if in_doubt(one.state, one.outcome):
-            self._people.tell(f"'{name}': NOT VERIFIED that it is at rest: {one.why}")
+            why = one.why.partition(";")[0]
+            self._people.tell(f"'{name}': NOT VERIFIED that it is at rest: {why}")
             if zone:
                 self._pause(zone, f"'{name}' in it is not verified to be at rest")
         elif error is not None and error.code == _LEFT and zone:

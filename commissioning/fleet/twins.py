@@ -14,7 +14,6 @@ from drivers.virtual.memory import Memory
 from drivers.virtual.served import FIRST_NODE, BusOfDrives, Endpoints, ServedDrive
 from profiles.errors import UsageError
 from profiles.library import load_profile
-from profiles.schema import Profile
 from profiles.transports import transport_of
 
 __all__ = ["Twins", "on_twins", "twins_of"]
@@ -76,7 +75,7 @@ def _twin(one: PlannedAxis, number: int, folder: Path) -> ServedDrive:
     own = profile is None or profile.name.startswith("virtual-")
     defaults = profile.link if profile else None
     return ServedDrive(
-        _plant(one, number, profile),
+        _plant(one, number),
         Memory.at(folder / f"twin-{number}.json"),
         link.integer("unit", 0, 255) or (defaults and defaults.unit) or 1,
         link.integer("node", 1, 127) or (defaults and defaults.node) or FIRST_NODE,
@@ -84,7 +83,7 @@ def _twin(one: PlannedAxis, number: int, folder: Path) -> ServedDrive:
     )
 
 
-def _plant(one: PlannedAxis, number: int, profile: Profile | None) -> VirtualAxis:
+def _plant(one: PlannedAxis, number: int) -> VirtualAxis:
     """What the twin moves: the axis that the file names for it, or one that suits its motor."""
     if one.twin is not None:
         link = parse(f"virtual://{one.twin}")
@@ -92,7 +91,7 @@ def _plant(one: PlannedAxis, number: int, profile: Profile | None) -> VirtualAxi
         return configured(link.place.strip("/"), options)
     axis = one.axis
     assert axis is not None
-    asked = one.options.max_torque or axis.limits.torque
+    asked = axis.limits.torque
     at_motor = asked / axis.mechanics.effort_per_torque if asked else 1.0
     rated = axis.rated_torque or at_motor
     coulomb, viscous, inertia = (share * rated for share in _HEAVY)

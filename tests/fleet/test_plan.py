@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from commissioning.cli.fleet.demo import demo_file
 from commissioning.fleet.plan import Fleet, differences, load_fleet
 from commissioning.fleet.taking_up import chosen
+from commissioning.fleet.twins import twins_of
 from profiles.errors import TwoRelayError, UsageError
 from tests.command import in_this_process
 
@@ -200,3 +202,17 @@ def test_what_has_changed_is_named() -> None:
         "axes.b is gone",
         "axes.c is new",
     ]
+
+
+def test_the_demo_s_fleet_is_of_eight_axes_on_five_buses(tmp_path: Path) -> None:
+    """`make demo-fleet` runs it, in half a minute; here it is read, and its twins are made."""
+    path = tmp_path / "demo.toml"
+    path.write_text(demo_file({}), "utf-8")
+    found = load_fleet(path)
+    twins = twins_of(found, tmp_path)
+    assert len(found.axes) == len(twins.names) == 8
+    assert [len(bus.drives) for bus in twins.buses] == [2, 2, 2, 1, 1]
+    assert twins.names == [one.name for one in found.axes]
+    served = {one.name: f"modbus-tcp://127.0.0.1:{5000 + n}" for n, one in enumerate(found.axes)}
+    path.write_text(demo_file(served), "utf-8")
+    assert {one.link for one in load_fleet(path).axes} == set(served.values())

@@ -16,7 +16,7 @@ from commissioning.result.fleet import JobState
 from drivers.home import home
 from profiles.errors import UsageError
 
-__all__ = ["run_demo"]
+__all__ = ["demo_file", "run_demo"]
 
 _UNTIL = 3  # axes done, and then it is interrupted
 _HEAD = """\
@@ -47,7 +47,8 @@ _AXES = (  # name, link, what else
 )  # fmt: skip
 
 
-def _text(links: dict[str, str]) -> str:
+def demo_file(links: dict[str, str]) -> str:
+    """Its fleet file; `links`: of the axes that are served."""
     parts = [_HEAD]
     for name, link, more in _AXES:
         lines = ["[[axes]]", f'name = "{name}"', f'link = "{links.get(name, link)}"', more]
@@ -60,9 +61,9 @@ def run_demo(screen: Screen) -> int:
     folder = home() / "demo-fleet"
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "press-line-7.toml"
-    path.write_text(_text({}), "utf-8")
+    path.writedemo_file(demo_file({}), "utf-8")
     with Interruption(), served(path, len(_AXES)) as links:
-        path.write_text(_text(dict(zip(_names(), links, strict=True))), "utf-8")
+        path.writedemo_file(demo_file(dict(zip(_names(), links, strict=True))), "utf-8")
         screen.say(f"eight virtual drives on five buses, and a fleet file: {path}")
         _called(screen, "check", str(path))
         _interrupted(screen, "run", str(path), "--yes")

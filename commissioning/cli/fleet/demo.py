@@ -61,9 +61,9 @@ def run_demo(screen: Screen) -> int:
     folder = home() / "demo-fleet"
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "press-line-7.toml"
-    path.writedemo_file(demo_file({}), "utf-8")
+    path.write_text(demo_file({}), "utf-8")
     with Interruption(), served(path, len(_AXES)) as links:
-        path.writedemo_file(demo_file(dict(zip(_names(), links, strict=True))), "utf-8")
+        path.write_text(demo_file(dict(zip(_names(), links, strict=True))), "utf-8")
         screen.say(f"eight virtual drives on five buses, and a fleet file: {path}")
         _called(screen, "check", str(path))
         _interrupted(screen, "run", str(path), "--yes")

@@ -58,7 +58,7 @@ platforms: $(STAMP)
 bench: $(STAMP)
 	AXES=$(AXES) $(BIN)/python benchmarks/run.py
 
-# thirteen targets: files of every kind, run folders, journals, links, and what peers send; 134 400 cases
+# fourteen targets: files of every kind, run folders, journals, links, and what peers send; 146 400 cases
 fuzz: $(STAMP)
 	TWORELAY_FUZZ=$(CASES) $(BIN)/python -m pytest tests/fuzz -n auto --timeout 1800
 

@@ -10,6 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from commissioning.fleet.plan import differences, load_fleet
+from commissioning.fleet.taking_up import chosen
 from commissioning.recording import read, table_of
 from drivers.link_text import is_simulated, parse
 from profiles.axis import load_axis
@@ -60,6 +62,34 @@ held_by = "brake"
 torque = 400.0
 speed = 0.5
 """
+FLEET = b"""name = "line"
+job = "commission"
+confirm = "group"
+[defaults]
+fraction = 0.85
+max_torque = 0.5
+[zones.cell]
+at_once = 2
+[groups.gantry]
+zone = "cell"
+on_failure = "go-on"
+[[axes]]
+name = "left"
+link = "virtual://bench?seed=1"
+group = "gantry"
+serial = "0x38EB7EA1"
+[[axes]]
+name = "feed"
+link = "canopen://socketcan/can0?node=5"
+travel = 1.5
+after = ["left"]
+limits = { speed = 3.0 }
+[[axes]]
+name = "table"
+link = "modbus-rtu:///dev/ttyUSB7?unit=2"
+zone = "cell"
+twin = "bench?coulomb=0.2"
+"""
 RECORDING = "time_s,position_rad,command_Nm\n" + "".join(
     f"{0.001 * k:.3f},{0.01 * (k % 7):.4f},{0.1 if k % 10 < 5 else -0.1}\n" for k in range(60)
 )
@@ -100,6 +130,16 @@ def test_axis_files(file: Path, data: bytes) -> None:
     file.write_bytes(data)
     with suppress(TwoRelayError):
         load_axis(file)
+
+
+@given(mutated(FLEET))
+@fuzzed
+def test_fleet_files(file: Path, data: bytes) -> None:
+    file.write_bytes(data)
+    with suppress(TwoRelayError):
+        fleet = load_fleet(file)
+        assert not list(differences(fleet.definition, fleet.definition))
+        chosen(fleet, "!feed")
 
 
 @given(mutated(RECORDING.encode()))

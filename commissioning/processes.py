@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -39,8 +40,9 @@ def boot() -> str:
 
 def clock() -> float:
     """Seconds of a clock that nobody sets, and that goes on while the computer sleeps."""
-    of_the_computer = getattr(time, "CLOCK_BOOTTIME", None)
-    return time.monotonic() if of_the_computer is None else time.clock_gettime(of_the_computer)
+    gettime: Callable[[int], float] | None = getattr(time, "clock_gettime", None)
+    awake_or_not: int | None = getattr(time, "CLOCK_BOOTTIME", None)
+    return time.monotonic() if gettime is None or awake_or_not is None else gettime(awake_or_not)
 
 
 def _started(pid: int) -> float:

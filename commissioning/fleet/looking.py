@@ -18,7 +18,16 @@ from commissioning.result.endings import Error
 from commissioning.result.fleet import JobState
 from drivers.places import same_place
 
-__all__ = ["Seen", "cut_off", "judged", "look_and_pin", "look_at_all", "rules_of", "task_of"]
+__all__ = [
+    "Seen",
+    "cut_off",
+    "held_back",
+    "judged",
+    "look_and_pin",
+    "look_at_all",
+    "rules_of",
+    "task_of",
+]
 
 _WAIT = 0.1  # s
 _BLOCKED = "run.cut-off", "run.in-progress"  # an unfinished journal
@@ -162,6 +171,21 @@ def cut_off(fleet: Fleet, pinned: Mapping[str, str], journal: Journal) -> dict[s
         if runs:
             found[one.name] = runs[0]
     return found
+
+
+def held_back(fleet: Fleet, seen: Mapping[str, Seen]) -> dict[str, Seen]:
+    """What was seen, with the groups blocked that a run would block for it."""
+    why: dict[str, str] = {}
+    for name, one in seen.items():
+        group = fleet.axis(name).group
+        if group and one.error is not None and fleet.groups[group].on_failure == "stop-group":
+            why.setdefault(group, f"'{name}' of its group '{group}' is {one.state}")
+    blocked = {
+        name: Seen(one.looked, Error("group.blocked", why[group]), JobState.BLOCKED)
+        for name, one in seen.items()
+        if one.error is None and (group := fleet.axis(name).group) in why
+    }
+    return {**seen, **blocked}
 
 
 def judged(seen: Mapping[str, Seen], pinned: Mapping[str, str]) -> dict[str, Seen]:

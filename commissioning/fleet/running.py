@@ -10,7 +10,7 @@ from commissioning.fleet.conductor import Conductor
 from commissioning.fleet.confirming import check_in_advance
 from commissioning.fleet.crew import Crew
 from commissioning.fleet.ledger import Ledger
-from commissioning.fleet.looking import Seen, judged, look_at_all, rules_of, task_of
+from commissioning.fleet.looking import Seen, held_back, judged, look_at_all, rules_of, task_of
 from commissioning.fleet.pages import folder_of
 from commissioning.fleet.people import People
 from commissioning.fleet.plan import Fleet
@@ -137,7 +137,7 @@ def check(
         crew.close(lambda: interruption.count)
     _accept(accept, seen, pins, say)
     said = {one.name: one.serial for one in fleet.axes if one.serial is not None}
-    return judged(seen, {**pins.known, **said})
+    return held_back(fleet, judged(seen, {**pins.known, **said}))
 
 
 def _accept(names: tuple[str, ...], seen: Mapping[str, Seen], pins: Pins, tell: Tell) -> None:

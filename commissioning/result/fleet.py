@@ -191,6 +191,15 @@ class FleetAxis:
     ended: Text | None = None
     outcome: Outcome | None = None
 
+    @property
+    def what(self) -> str:
+        """What happens to it; or how it stands, where it was begun in vain, and why."""
+        if self.doing:
+            return self.doing
+        begun = self.state in FAILED and self.outcome is not None and self.outcome.run is not None
+        stands = self.outcome.ending.partition(";")[0] if begun and self.outcome else ""
+        return "; ".join(filter(None, (stands, self.why)))
+
 
 @dataclass(frozen=True, slots=True)
 class FleetResult:

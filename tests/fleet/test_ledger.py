@@ -14,7 +14,7 @@ from commissioning.fleet.ledger import Ledger
 from commissioning.fleet.plan import Fleet, load_fleet
 from commissioning.fleet.taking_up import none_under_way
 from commissioning.journal import Journal
-from commissioning.result.fleet import ENDED, Confirmed, JobState, Outcome, Room
+from commissioning.result.fleet import ENDED, Confirmed, FleetAxis, JobState, Outcome, Room
 from profiles.errors import Refused, UnknownName, UsageError
 from tests.raising import raises
 
@@ -165,3 +165,11 @@ def test_the_way_of_an_axis_by_every_pair_of_states(tmp_path: Path) -> None:
             ledger.move(run, str(state), attempt, state)
             changed = ledger.end(run, str(state), attempt, end, Outcome(), "")
             assert changed == (state is S.STARTED)
+
+
+def test_how_an_axis_stands_comes_before_why_it_is_not_done() -> None:
+    outcome = Outcome(run="r", ending="axis at rest and off; settings put back", at_rest=True)
+    stopped = FleetAxis("a", S.STOPPED, 1, "", why="interrupted", outcome=outcome)
+    assert stopped.what == "axis at rest and off; interrupted"
+    assert FleetAxis("a", S.REFUSED, 1, "", why="no", outcome=Outcome()).what == "no"
+    assert FleetAxis("a", S.STARTED, 1, "", doing="measuring", why="x").what == "measuring"

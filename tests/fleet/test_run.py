@@ -330,3 +330,13 @@ def test_files_that_are_taken_for_each_other(tmp_path: Path) -> None:
     done = in_this_process("identify", str(fleet), "--yes")
     assert done.returncode == 2
     assert "is a fleet file" in done.stderr
+
+
+def test_a_check_says_whom_the_group_would_hold_back(tmp_path: Path) -> None:
+    path = tmp_path / "line.toml"
+    gone = '[[axes]]\nname = "gone"\nlink = "modbus-tcp://127.0.0.1:1"\ntravel = 1.0\ngroup = "g"\n'
+    path.write_text(HEAD + gone + AXIS.format("beside", "seed=3") + 'group = "g"\n')
+    code, said, _ = run("check", str(path))
+    assert code == 9
+    assert "gone: cannot connect to 127.0.0.1:1" in said
+    assert "0 of 2 axes can be moved" in said

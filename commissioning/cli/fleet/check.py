@@ -70,7 +70,8 @@ def looked_at(
     from commissioning.result.words import remaining
 
     def tell(name: str, found: Seen) -> None:
-        screen.say(f"  {name}: {found.looked.identity if found.looked else 'not to be moved'}")
+        said = found.error.text if found.error else found.looked and found.looked.identity
+        screen.say(f"  {name}: {said}")
 
     with Interruption() as interruption:
         seen = check(plan, wishes, tell, interruption, screen.say, accept)

@@ -55,7 +55,7 @@ def _gain(one: FleetAxis) -> str:
 
 
 def _what(one: FleetAxis) -> str:
-    return one.doing or _brief(one.why)
+    return one.what if one.doing else _brief(one.what)
 
 
 def summary(result: FleetResult) -> str:
@@ -165,7 +165,7 @@ class FleetScreen:
 
 def _line(one: FleetAxis) -> str:
     """What has become of an axis, where there is no table."""
-    parts = [_friction(one), _gain(one) and f"{_gain(one)} less error", _brief(one.why)]
+    parts = [_friction(one), _gain(one) and f"{_gain(one)} less error", _brief(one.what)]
     return f"{one.name}: {one.state}  {'; '.join(filter(None, parts))}".rstrip()
 
 

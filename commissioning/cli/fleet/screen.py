@@ -165,7 +165,8 @@ class FleetScreen:
 
 def _line(one: FleetAxis) -> str:
     """What has become of an axis, where there is no table."""
-    parts = [_friction(one), _gain(one) and f"{_gain(one)} less error", _brief(one.what)]
+    why = "" if one.doing else _brief(one.what)
+    parts = [_friction(one), _gain(one) and f"{_gain(one)} less error", why]
     return f"{one.name}: {one.state}  {'; '.join(filter(None, parts))}".rstrip()
 
 

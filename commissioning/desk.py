@@ -31,7 +31,7 @@ __all__ = ["Desk", "Options", "begin_run", "connect", "none_unfinished", "same_d
 class Options:
     """What the user asks for; None: take the axis', the drive's or the product's own.
 
-    `serial`: which drive it has to be
+    `serial`: which drive it has to be. `motor_temperature`: °C, where the drive tells none.
     """
 
     travel: float | None = None
@@ -48,6 +48,7 @@ class Options:
     without_watchdog: bool = False
     dry_run: bool = False
     serial: str | None = None
+    motor_temperature: float | None = None
 
 
 @dataclass

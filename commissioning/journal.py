@@ -7,6 +7,7 @@ cut at any instant leaves either the old value, or an intent that `restore` can 
 from __future__ import annotations
 
 import os
+import platform
 import re
 import sqlite3
 import time
@@ -14,7 +15,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from commissioning.errors import JournalError
-from commissioning.journal_file import OpenJournal, slug
+from commissioning.index import Index
+from commissioning.journal_file import slug
 from commissioning.records import (
     END_OF_TIME,
     RESTORED,
@@ -41,13 +43,18 @@ from profiles.errors import Refused, UnknownName, UsageError
 __all__ = ["RESTORED", "STORED", "STORING", "Intent", "Journal", "Kind", "RunRecord"]
 
 _RUNS_A_SECOND = 1000  # of one axis, at most
+_LONGEST_HOST = 20  # characters
 
 
-class Journal(OpenJournal):
+class Journal(Index):
     """The journal of this machine; raises JournalError when it cannot be read or written.
 
     `reading` : nothing is written, not even where there is no journal yet
     """
+
+    def __init__(self, folder: Path, *, reading: bool = False) -> None:
+        super().__init__(folder, reading=reading)
+        self._images: tuple[object, dict[tuple[str, str], dict[str, Cell]]] = (None, {})
 
     @classmethod
     def empty(cls) -> Journal:
@@ -76,8 +83,9 @@ class Journal(OpenJournal):
                     code="refused.clock",
                 )
             stamp = time.strftime("%Y%m%d-%H%M%S", time.localtime(now))
+            name = "-".join([stamp, slug(axis), *_host()])
             for n in range(_RUNS_A_SECOND):
-                run = f"{stamp}-{slug(axis)}" + (f"-{n}" if n else "")
+                run = name + (f"-{n}" if n else "")
                 try:
                     self._db.execute(
                         "INSERT INTO runs VALUES (?,?,?,?,?,?,?,?,?)",
@@ -224,10 +232,21 @@ class Journal(OpenJournal):
             ).fetchall()
         return [str(row["id"]) for row in rows]
 
-    def runs(self) -> list[RunRecord]:
-        """All runs, in the order in which they came."""
+    def last_runs(self, most: int | None) -> tuple[list[str], int]:
+        """The last `most` runs, in the order in which they came, and how many there are before."""
         with self._errors():
-            rows = self._db.execute("SELECT * FROM runs ORDER BY rowid").fetchall()
+            rows = self._db.execute(
+                "SELECT id FROM runs ORDER BY rowid DESC LIMIT ?", (-1 if most is None else most,)
+            ).fetchall()
+            count = self._db.execute("SELECT COUNT(*) FROM runs").fetchone()[0]
+        return [str(row[0]) for row in reversed(rows)], int(count) - len(rows)
+
+    def on_drive(self, serial: str) -> list[RunRecord]:
+        """Runs on the drive of a serial number, in the order in which they came."""
+        with self._errors():
+            rows = self._db.execute(
+                "SELECT * FROM runs WHERE serial=? ORDER BY rowid", (serial,)
+            ).fetchall()
             return [self._record(row) for row in rows]
 
     def runs_before(self, instant: float) -> list[RunRecord]:
@@ -273,18 +292,36 @@ class Journal(OpenJournal):
 
     # -- moving a run to another machine -----------------------------------------------------------
 
-    def history(self, run: str) -> History:
-        """Everything that the journal knows of a run."""
+    def history(self, run: str, *, of_drive: bool = True) -> History:
+        """Everything that the journal knows of a run.
+
+        `of_drive` : and of its drive, also where the run has written nothing there to stay
+        """
         record = self.run(run)
         with self._errors():
             rows = self._db.execute(
                 "SELECT at, text FROM events WHERE run=? ORDER BY seq", (record.id,)
             ).fetchall()
         events = tuple(Event(float(at), str(text)) for at, text in rows)
-        return History(record, tuple(self.intents(record.id)), events, self._image(record))
+        notes = tuple(self.notes([record.axis]))
+        intents = tuple(self.intents(record.id))
+        needed = of_drive or any(intent.lasts for intent in intents)
+        return History(record, intents, events, self._image(record) if needed else {}, notes)
 
     def _image(self, record: RunRecord) -> dict[str, Cell]:
         """What the drive of a run has, by all that was written to it here, and its stores."""
+        with self._errors():
+            version = self._db.execute("PRAGMA data_version").fetchone()[0]
+        now = version, self._db.total_changes
+        if self._images[0] != now:  # somebody has written since
+            self._images = now, {}
+        drive = record.serial, record.link
+        found = self._images[1].get(drive)
+        if found is None:
+            found = self._images[1][drive] = self._image_now(record)
+        return found
+
+    def _image_now(self, record: RunRecord) -> dict[str, Cell]:
         with self._errors():
             drives = self._db.execute(
                 "SELECT id, link, nameless FROM of_drive WHERE serial=?", (record.serial,)
@@ -295,9 +332,9 @@ class Journal(OpenJournal):
                 (record.serial,),
             ).fetchall()
             told = self._db.execute(
-                "SELECT seq, run, at, text FROM events WHERE text IN (?,?,?) OR text LIKE ? OR "
-                "text LIKE ? ORDER BY seq",
-                (STORING, STORED, RESTORED, f"{UP_TO}%", f"{TAKEN_IN}%"),
+                "SELECT seq, run, at, text FROM events WHERE run IN (SELECT id FROM runs WHERE "
+                "serial=?) AND (text IN (?,?,?) OR text LIKE ? OR text LIKE ?) ORDER BY seq",
+                (record.serial, STORING, STORED, RESTORED, f"{UP_TO}%", f"{TAKEN_IN}%"),
             ).fetchall()
         here = {
             run for run, link, nameless in drives if not nameless or same_place(record.link, link)
@@ -330,6 +367,8 @@ class Journal(OpenJournal):
         run = history.run
         if self.knows(run.id):
             return run.id
+        for note in history.notes:
+            self.note_on(note)
         now = time.time()
         with self._errors():
             self._db.execute("BEGIN IMMEDIATE")
@@ -359,6 +398,23 @@ class Journal(OpenJournal):
             self._db.execute("COMMIT")
         return run.id
 
+    def known_as(self, record: RunRecord) -> str | None:
+        """What a run of another computer is called here; None: it is not known."""
+        with self._errors():
+            row = self._db.execute(
+                "SELECT id FROM runs WHERE created=? AND axis=? AND serial=? AND link=?",
+                (record.created, record.axis, record.serial, record.link),
+            ).fetchone()
+        return None if row is None else str(row["id"])
+
+    def free_id(self, run: str) -> str:
+        """An id that no run has: this one, or with a number."""
+        return next(
+            one
+            for n in range(1, _RUNS_A_SECOND)
+            if not self.knows(one := run if n == 1 else f"{run}-{n}")
+        )
+
     def knows(self, run: str) -> bool:
         """Whether there is a run of this id, as file names go: in capitals or not."""
         with self._errors():
@@ -366,6 +422,12 @@ class Journal(OpenJournal):
                 "SELECT 1 FROM runs WHERE id=? COLLATE NOCASE", (run,)
             ).fetchone()
         return found is not None
+
+
+def _host() -> list[str]:
+    """The part of an id that tells runs of two computers apart."""
+    name = platform.node().partition(".")[0]
+    return [slug(name)[:_LONGEST_HOST].strip("._-")] if name else []
 
 
 def _count(text: str) -> int:

@@ -57,7 +57,26 @@ CREATE TABLE IF NOT EXISTS fleet_events (
     seq INTEGER PRIMARY KEY AUTOINCREMENT, fleet_run TEXT NOT NULL, axis TEXT NOT NULL,
     attempt INTEGER NOT NULL, at REAL NOT NULL, text TEXT NOT NULL
 );
+CREATE TABLE IF NOT EXISTS maintenance (
+    seq INTEGER PRIMARY KEY AUTOINCREMENT, axis TEXT NOT NULL, at REAL NOT NULL, who TEXT,
+    host TEXT, text TEXT NOT NULL, number INTEGER
+);
+CREATE TABLE IF NOT EXISTS axis_names (
+    old TEXT PRIMARY KEY, new TEXT NOT NULL, number INTEGER NOT NULL, at REAL NOT NULL
+);
+CREATE INDEX IF NOT EXISTS runs_of_axis ON runs(axis);
+CREATE INDEX IF NOT EXISTS runs_of_drive ON runs(serial);
+CREATE INDEX IF NOT EXISTS events_of_run ON events(run);
 """
+# what the runs' own files say: made anew where it is damaged
+INDEX = {
+    "indexed": "run TEXT PRIMARY KEY, host TEXT, version TEXT, method TEXT, verdict TEXT, "
+    "digest TEXT",
+    "results": "run TEXT, quantity TEXT, value REAL, low REAL, high REAL, unit TEXT, "
+    "PRIMARY KEY (run, quantity)",
+    "conditions": "run TEXT PRIMARY KEY, motor_temperature REAL, drive_temperature REAL, "
+    "minutes_on REAL, position REAL, third INTEGER, cycle REAL",
+}
 TABLE = re.compile(r"CREATE TABLE IF NOT EXISTS (\w+)")
 
 
@@ -95,7 +114,20 @@ def open_to_read(path: Path, clean_up: ExitStack) -> sqlite3.Connection:
         name = TABLE.search(statement)
         if name is not None and name[1] not in there:
             db.execute(statement.replace("CREATE TABLE", "CREATE TEMP TABLE"))
+    for table in _damaged(db):
+        db.execute(f"CREATE TEMP TABLE {table} ({INDEX[table]})")
     return db
+
+
+def _damaged(db: sqlite3.Connection) -> list[str]:
+    """Tables of the index that are not there, or not as they must be."""
+    found = []
+    for name, columns in INDEX.items():
+        there = [row[1] for row in db.execute(f"PRAGMA table_info({name})")]
+        plain = columns.partition(", PRIMARY KEY (")[0]
+        if there != [column.split()[0] for column in plain.split(", ")]:
+            found.append(name)
+    return found
 
 
 def prepare(db: sqlite3.Connection) -> None:
@@ -106,7 +138,10 @@ def prepare(db: sqlite3.Connection) -> None:
     db.executescript(SCHEMA)
     db.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
     db.execute("BEGIN IMMEDIATE")  # a journal that cannot be written shows now
-    db.execute("ROLLBACK")
+    for name in _damaged(db):
+        db.execute(f"DROP TABLE IF EXISTS {name}")
+        db.execute(f"CREATE TABLE {name} ({INDEX[name]})")
+    db.execute("COMMIT")
 
 
 def _write_ahead(db: sqlite3.Connection) -> None:

@@ -16,6 +16,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 from commissioning.result.codec import first_error
+from commissioning.result.history import Note
 from profiles.errors import UsageError
 from profiles.files import contents
 
@@ -153,12 +154,13 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """Everything that a journal knows of a run, and of its drive now."""
+    """Everything that a journal knows of a run, of its drive now, and of its axis."""
 
     run: RunRecord
     intents: tuple[Intent, ...]
     events: tuple[Event, ...]
     image: Mapping[str, Cell]
+    notes: tuple[Note, ...] = ()
 
     def before(self) -> dict[str, int]:
         """What each parameter that the run wrote for good had before, raw."""
@@ -282,6 +284,14 @@ class _Event:
 
 
 @dataclass(frozen=True, slots=True)
+class _Note:
+    at: Instant
+    text: Text
+    who: Text | None = None
+    host: Text | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class _Journal:
     __pydantic_config__: ClassVar[ConfigDict] = _STRICT
 
@@ -289,6 +299,7 @@ class _Journal:
     run: _Run
     intents: Annotated[tuple[_Intent, ...], Field(max_length=_MOST_INTENTS)]
     events: tuple[_Event, ...] = ()
+    notes: tuple[_Note, ...] = ()
 
 
 @cache
@@ -355,7 +366,8 @@ def history_of(tree: Any, origin: str) -> History:
     told = [e.text for e in events if e.text in (STORING, STORED, RESTORED)]
     stores = [(len(intents), text) for text in told[-2:]]
     image = image_of([i for i in intents if i.lasts], stores)
-    return History(_run(found.run, adopted=True), intents, events, image)
+    notes = tuple(Note(found.run.axis, n.at, n.text, n.who, n.host) for n in found.notes)
+    return History(_run(found.run, adopted=True), intents, events, image, notes)
 
 
 def history_tree(history: History) -> dict[str, Any]:
@@ -370,6 +382,10 @@ def history_tree(history: History) -> dict[str, Any]:
             for i in history.intents
         ],
         "events": [asdict(event) for event in history.events],
+        "notes": [
+            {name: getattr(note, name) for name in ("at", "text", "who", "host")}
+            for note in history.notes
+        ],
     }
 
 

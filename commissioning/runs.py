@@ -49,11 +49,15 @@ class RunFolder:
     """The folder of one run under TWORELAY_HOME, or an exported one. No link in it is followed.
 
     `exported` : the journal that lies in an exported one
+    `journal` : whose index is told what is saved
     """
 
-    def __init__(self, path: Path, exported: History | None = None) -> None:
+    def __init__(
+        self, path: Path, exported: History | None = None, journal: Journal | None = None
+    ) -> None:
         self.path = path
         self.exported = exported
+        self._journal = journal
 
     @classmethod
     def of(cls, journal: Journal, run: str) -> RunFolder:
@@ -63,7 +67,7 @@ class RunFolder:
         path = journal.folder / "runs" / run
         if path.is_symlink():
             raise UsageError(f"{path}: is a link, and none is followed here")
-        return cls(path)
+        return cls(path, journal=journal)
 
     def history(self, journal: Journal, run: str) -> History:
         """What the journal knows of the run.
@@ -95,6 +99,8 @@ class RunFolder:
             replace(self.path / "run.json", text_of(result).encode())
         except OSError as error:
             raise JournalError(f"cannot write the run to {self.path}: {error}") from None
+        if self._journal is not None:
+            self._journal.index(self.path.name, result)
 
     def _old_curves(self) -> Curves:
         """What an older version has of curves in its result, which is about to be replaced."""

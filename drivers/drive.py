@@ -91,6 +91,7 @@ class Drive(Protocol):
     loops: LoopGains | None
     memory: Store | None  # how it is made to keep its parameters
     own_estimates: Mapping[str, str]  # parameters with what it has found itself
+    conditions: Mapping[str, str]  # parameters with its temperatures and its time
 
     preparation: Preparation  # what a job will change in it
     rehearsal: Rehearsal  # its cycle, without an experiment

@@ -67,6 +67,7 @@ class ProfiledDrive:
         self.loops = profile.loops
         self.memory = profile.store
         self.own_estimates: Mapping[str, str] = dict(profile.own_estimates.items())
+        self.conditions: Mapping[str, str] = dict(profile.conditions.items())
 
         self._bus = bus
         self._access = access = RawAccess(bus, profile)

@@ -64,6 +64,13 @@ class AxisLimits(Strict):
     speed: Positive | None = None  # rad/s or m/s
     duration: Positive = 300.0  # s
     watchdog: Positive | None = None  # s, what the drive's watchdog is armed with
+    ends: tuple[float, float] | None = None  # rad or m, of a drive that knows where it is
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.ends is not None and not self.ends[0] < self.ends[1]:
+            raise ValueError("ends are [low, high], the lower one first")
+        return self
 
 
 LONGEST_NAME = 100  # characters
@@ -86,7 +93,9 @@ class Axis(Strict):
     `travel` is the room on either side of the position where the job starts, rad or m.
     `rated_torque` (N.m of the motor), `torque_constant` (N.m/A) and `encoder` (increments per motor
     revolution) are for drives that do not tell theirs. Axes of one `group` can meet, those of one
-    `zone` are behind one emergency stop.
+    `zone` are behind one emergency stop. `limits.ends` of the travel, by the drive's own position:
+    an experiment stays between them, and what was measured in one third of it is compared with
+    that.
     """
 
     name: Annotated[str, AfterValidator(axis_name)] = "axis"

@@ -37,6 +37,8 @@ class Unit(StrEnum):
     RATED_TORQUE_PER_SECOND = "rated/s"
     PER_SECOND = "1/s"
     SECOND = "s"
+    MINUTE = "min"
+    DEGREE_CELSIUS = "degC"
 
 
 class Access(StrEnum):

@@ -76,6 +76,9 @@ class Profile(Strict):
     store: Store | None = None
     compensation: Compensation
     own_estimates: dict[Literal["coulomb"], str] = {}  # what the drive itself has found, to compare
+    conditions: dict[
+        Literal["motor_temperature", "drive_temperature", "minutes_on"], str
+    ] = {}  # what friction depends on beside wear: degC, min
     loops: LoopGains | None = None
 
     def __str__(self) -> str:
@@ -196,6 +199,7 @@ class Profile(Strict):
         found += [("compensation", self.compensation.host)] if self.compensation.host else []
         found += [("limits", name) for name in self.limits.values()]
         found += [("own_estimates", name) for name in self.own_estimates.values()]
+        found += [("conditions", name) for name in self.conditions.values()]
         if self.loops is not None:
             found += [("loops", name) for name in self.loops.terms.values()]
             found += [("loops", self.loops.lag)] if self.loops.lag else []

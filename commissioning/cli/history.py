@@ -1,25 +1,32 @@
-"""tworelay history [AXIS], and history prune."""
+"""tworelay history [AXIS], and history drift, note, rename, prune, reindex."""
 
 from __future__ import annotations
 
 import re
 import time
 from datetime import datetime
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text
-from commissioning.cli.terminal import Screen, at_desk
-from profiles.errors import UsageError
+from commissioning.cli.terminal import Finite, Screen, at_desk, check_json
+from profiles.errors import UnknownName, UsageError
 
 if TYPE_CHECKING:
+    from commissioning.journal import Journal
+    from commissioning.result.found import Quantity
+    from commissioning.result.history import Story
     from commissioning.session.listed import Listed
 
 __all__ = ["command"]
 
 _DAY = 86400.0  # s
+_SHOWN = "coulomb", "viscous", "inertia"
+_NARROW = 40  # characters
+_MANY = 50  # runs: from here on indexing takes a while
 
 
 class _RunsOf(click.Group):
@@ -53,50 +60,316 @@ def command() -> None:
     help="Only the last N runs.",
 )  # fmt: skip
 @click.option("--all", "everything", is_flag=True, help="All of them.")
+@click.option(
+    "--gate", type=Finite(0, 1000), default=10.0, show_default=True, metavar="P",
+    help="Percent: a smaller change of AXIS is no alarm.",
+)  # fmt: skip
+@click.option("--picture", metavar="F", help="AXIS over time, as .svg, .png or .pdf.")
+@click.option("--csv", "csv_target", metavar="F", help="AXIS, a line a run, '-': standard output.")
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 @verbose
-def list_runs(axis: str | None, most: int, everything: bool, as_json: bool) -> None:
-    """The runs (of AXIS) in the order in which they came.
+def list_runs(
+    axis: str | None,
+    most: int,
+    everything: bool,
+    gate: float,
+    picture: str | None,
+    csv_target: str | None,
+    as_json: bool,
+) -> None:
+    """The runs in the order in which they came; of AXIS, what they measured, and its drift.
 
-    Verdict, friction, what is in the drive.
+    AXIS is a name as in its file; NAME@COMPUTER where another computer has one of that name.
     """
+    from commissioning.history.catching_up import catch_up
     from commissioning.journal import Journal
-    from commissioning.result.words import number
-    from commissioning.session.listed import runs
     from drivers.home import home
 
+    for target in (picture, csv_target):
+        check_json(target, "--picture" if target is picture else "--csv")
+    if axis is None and (picture or csv_target):
+        raise UsageError("--picture and --csv are of one axis: say which, 'tworelay history AXIS'")
     with Journal(home(), reading=True) as journal:
-        found, before = runs(journal, axis, None if everything else most)
-        axes = [] if found or axis is None else sorted({one.axis for one in journal.runs()})
+        lacking = journal.not_indexed() if axis is not None else []
+    if len(lacking) > _MANY:
+        screen = Screen("-" if as_json or csv_target == "-" else None, yes=True)
+        with screen.counting("indexing older runs", len(lacking)) as told:
+            catch_up(lacking, told)
+    with Journal(home(), reading=True) as journal:
+        if axis is None:
+            _all_runs(journal, None if everything else most, as_json=as_json)
+        else:
+            shown = None if everything else most
+            _one_axis(journal, axis, shown, gate, picture, csv_target, as_json=as_json)
+
+
+def _all_runs(journal: Journal, most: int | None, *, as_json: bool) -> None:
+    from commissioning.session.listed import runs
+
+    found, before = runs(journal, most)
     if as_json:
         document(json_text([_tree(one) for one in found]))
         return
     screen = Screen(None, yes=True)
     if not found:
-        there = f"; there are: {', '.join(axes)}" if axes else ""
-        screen.say("no runs" if axis is None else f"no runs of axis '{axis}'{there}")
+        screen.say("no runs")
         return
     if before:
         screen.say(f"{before} older runs are not shown: --all")
     rows = []
     for one in found:
-        f = one.coulomb
-        friction = f"{number(f.value, f.unit)} ± {100 * f.half_width:.2g} %" if f else ""
         axis_text = f"{one.axis} (adopted)" if one.adopted else one.axis
-        rows.append([one.run, axis_text, one.verdict, friction, one.drive])
+        rows.append([one.run, axis_text, one.verdict, _quantity(one.coulomb), one.drive])
     columns = ["run", "axis", "verdict", "friction", "in the drive"]
     screen.table("runs, newest last", columns, rows)
+
+
+def _one_axis(
+    journal: Journal,
+    axis: str,
+    most: int | None,
+    gate: float,
+    picture: str | None,
+    csv_target: str | None,
+    *,
+    as_json: bool,
+) -> None:
+    """Table, picture, lines and JSON of one axis."""
+    from commissioning.history.story import story_of
+    from commissioning.history.telling import LABELS, csv_text, day, drift_words, events
+    from commissioning.result.history import Story
+    from commissioning.session.listed import listed
+
+    try:
+        story = story_of(journal, axis, gate=gate)
+    except UnknownName as error:
+        if picture or csv_target:
+            raise
+        if as_json:
+            document(json_text(_story_tree(Story(axis, ()), [])))
+            return
+        there = f"; there are: {', '.join(error.known)}" if error.known else ""
+        Screen(None, yes=True).say(f"no runs of axis '{axis}'{there}")
+        return
+    first = 0 if most is None else max(len(story.entries) - most, 0)
+    rows = [listed(journal, one.run) for one in story.entries[first:]]
+    if csv_target == "-":
+        document(csv_text(story))
+    elif csv_target is not None:
+        _write(csv_target, csv_text(story).encode())
+    if picture is not None:
+        _draw(story, picture)
+    if as_json:
+        document(json_text(_story_tree(story, rows)))
+    if as_json or csv_target == "-":
+        return
+    screen = Screen(None, yes=True)
+    if first:
+        screen.say(f"{first} older runs are not shown: --all")
+    happened = events(story)
+    table = []
+    for number, (one, entry) in enumerate(zip(rows, story.entries[first:], strict=True), first):
+        table += [_between(day(at), text) for n, at, text in happened if n == number]
+        q = entry.quantities
+        numbers = [_quantity(q.get(name), "") for name in _SHOWN]
+        table.append([f"{one.run}{' (adopted)' if one.adopted else ''}", one.verdict, *numbers])
+    end = len(story.entries)
+    table += [_between(day(at), text) for n, at, text in happened if n == end]
+    units = {name: q.unit for one in story.entries for name, q in one.quantities.items()}
+    columns = ["run", "verdict"]
+    columns += [f"{LABELS[name]} in {units[name]}" if name in units else "" for name in _SHOWN]
+    screen.table(f"axis {story.axis}, newest last", columns, table)
+    if rows:
+        screen.say(f"in the drive, of the last run: {rows[-1].drive}")
+    for remark in story.remarks:
+        screen.say(remark)
+    for found in story.drifts:
+        if found.quantity == "coulomb" or found.state in ("drifting", "changed"):
+            screen.say(drift_words(story.axis, found))
+    for text in story.drifts[0].said if story.drifts else ():
+        screen.say(f"  {text}")
+    for target in filter(None, (picture, csv_target)):
+        screen.say(target)
+
+
+def _between(when: str, text: str) -> list[str]:
+    """A line between two runs, as narrow as their ids."""
+    from textwrap import fill
+
+    line = fill(f"{when}: {text}", _NARROW, initial_indent="  ", subsequent_indent="    ")
+    return [line, "", *[""] * len(_SHOWN)]
+
+
+def _quantity(found: Quantity | None, unit: str | None = None) -> str:
+    """A number with its interval; `unit`: '' where the head of its column has it."""
+    from commissioning.result.words import number
+
+    if found is None:
+        return ""
+    share = f" ± {100 * found.half_width:.2g} %" if found.half_width < float("inf") else ""
+    return f"{number(found.value, found.unit if unit is None else unit)}{share}"
+
+
+def _draw(story: Story, target: str) -> None:
+    from commissioning.history.telling import events
+    from commissioning.report.trends import picture
+
+    kind = Path(target).suffix.lower()
+    if kind not in (".svg", ".png", ".pdf"):
+        raise UsageError(f"--picture {target}: must end with .svg, .png or .pdf")
+    _write(target, picture(story, [(at, text) for _, at, text in events(story)], kind[1:]))
+
+
+def _write(target: str, content: bytes) -> None:
+    try:
+        Path(target).write_bytes(content)
+    except OSError as error:
+        raise UsageError(f"{target}: cannot be written: {error.strerror}") from None
+
+
+def _story_tree(story: Story, rows: list[Listed]) -> dict[str, object]:
+    """A story for JSON: the runs that are shown, and what all of them say."""
+    from commissioning.history.telling import drift_words
+    from commissioning.result.codec import tree_of
+    from commissioning.result.history import HISTORY_SCHEMA
+
+    entries = {one.run: one for one in story.entries}
+    runs = []
+    for one in rows:
+        entry = entries[one.run]
+        runs.append(
+            {
+                **_tree(one), "serial": entry.serial, "host": entry.host, "method": entry.method,
+                "tworelay": entry.version, "conditions": tree_of(entry.conditions),
+                "quantities": {
+                    name: {"value": q.value, "low": q.low, "high": q.high, "unit": q.unit}
+                    for name, q in entry.quantities.items()
+                },
+            }
+        )  # fmt: skip
+    return {
+        "schema": HISTORY_SCHEMA, "axis": story.axis, "runs": runs,
+        "drives": tree_of(story.drives),
+        "notes": [
+            {"at": _iso(note.at), "who": note.who, "host": note.host, "text": note.text}
+            for note in story.notes
+        ],
+        "drift": [
+            {
+                **tree_of(one), "since": one.since and _iso(one.since),
+                "first_seen": one.first_seen and _iso(one.first_seen),
+                "points": [{**tree_of(p), "began": _iso(p.began)} for p in one.points],
+                "words": drift_words(story.axis, one),
+            }
+            for one in story.drifts
+        ],
+        "remarks": list(story.remarks),
+    }  # fmt: skip
+
+
+def _iso(instant: float) -> str:
+    return datetime.fromtimestamp(instant).astimezone().isoformat(timespec="seconds")
 
 
 def _tree(one: Listed) -> dict[str, object]:
     """A row for JSON."""
     f = one.coulomb
-    began = datetime.fromtimestamp(one.began).astimezone().isoformat(timespec="seconds")
     return {
-        "run": one.run, "axis": one.axis, "began": began, "verdict": one.verdict,
+        "run": one.run, "axis": one.axis, "began": _iso(one.began), "verdict": one.verdict,
         "coulomb": f and {"value": f.value, "low": f.low, "high": f.high, "unit": f.unit},
         "drive": one.drive, "adopted": one.adopted,
     }  # fmt: skip
+
+
+@command.command("drift")
+@click.option(
+    "--gate", type=Finite(0, 1000), default=10.0, show_default=True, metavar="P",
+    help="Percent: a smaller change is no alarm.",
+)  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@verbose
+def drift(gate: float, as_json: bool) -> None:
+    """Which axes get worse: a line for each that has changed, and how many have not."""
+    from commissioning.history.story import all_axes
+    from commissioning.history.telling import drift_words
+    from commissioning.journal import Journal
+    from drivers.home import home
+
+    with Journal(home(), reading=True) as journal:
+        stories = all_axes(journal, gate=gate)
+    found = [(one, drift) for one in stories for drift in one.drifts]
+    if as_json:
+        document(
+            json_text(
+                [
+                    {
+                        "axis": one.axis, "quantity": d.quantity, "state": d.state,
+                        "change": d.change, "change_error": d.change_error,
+                        "since": d.since and _iso(d.since),
+                        "first_seen": d.first_seen and _iso(d.first_seen),
+                        "words": drift_words(one.axis, d),
+                    }
+                    for one, d in found
+                ]
+            )
+        )  # fmt: skip
+        return
+    screen = Screen(None, yes=True)
+    worse = [(one, d) for one, d in found if d.state in ("drifting", "changed")]
+    for one, d in worse:
+        screen.say(drift_words(one.axis, d))
+    rest = len({one.axis for one in stories} - {one.axis for one, _ in worse})
+    screen.say(f"{rest} axis or axes without a change" if stories else "no runs")
+
+
+@command.command("note")
+@click.argument("axis")
+@click.argument("text")
+@click.option("--at", metavar="DATE", help="2026-03-03, when it was done; default: now.")
+@verbose
+def note(axis: str, text: str, at: str | None) -> None:
+    """Note what was done to AXIS: 'regreased', 'new belt'. Its drift is counted from then on."""
+    from commissioning.history.story import add_note
+    from commissioning.history.telling import day
+    from commissioning.journal import Journal
+    from drivers.home import home
+
+    with Journal(home()) as journal:
+        made = add_note(journal, axis, text, None if at is None else _day("--at", at))
+    Screen(None, yes=True).say(f"noted for {made.axis}, {day(made.at)}: {made.text}")
+
+
+@command.command("rename")
+@click.argument("old")
+@click.argument("new")
+@verbose
+def rename(old: str, new: str) -> None:
+    """The axis that was called OLD is called NEW now: its history goes on."""
+    from commissioning.history.story import rename as renamed
+    from commissioning.journal import Journal
+    from drivers.home import home
+
+    with Journal(home()) as journal:
+        renamed(journal, old, new)
+    Screen(None, yes=True).say(f"'{old}' is called '{new}' from now on")
+
+
+@command.command("reindex")
+@verbose
+def reindex() -> None:
+    """Make the index of all runs anew, from their own files."""
+    from commissioning.history.catching_up import catch_up
+    from commissioning.journal import Journal
+    from drivers.home import home
+
+    screen = Screen(None, yes=True)
+    with Journal(home()) as journal:
+        kept = journal.clear_index()
+        runs = journal.not_indexed()
+    with screen.counting("indexing", len(runs)) as told:
+        catch_up(runs, told)
+    gone = f", {kept} kept as they were: their files are gone" if kept else ""
+    screen.say(f"{len(runs)} runs indexed{gone}")
 
 
 @command.command("prune")
@@ -131,9 +404,12 @@ def _instant(text: str) -> float:
     age = re.fullmatch(r"([0-9]{1,5})d", text)
     if age is not None:
         return time.time() - int(age[1]) * _DAY
+    return _day("--before", text, ", or an age in days as 90d")
+
+
+def _day(option: str, text: str, other: str = "") -> float:
+    """A date as s since 1970; raises UsageError."""
     try:
-        return time.mktime(time.strptime(text, "%Y-%m-%d"))
+        return max(time.mktime(time.strptime(text, "%Y-%m-%d")), 0.0)
     except (ValueError, OverflowError):
-        raise UsageError(
-            f"--before {text}: must be a date as 2026-01-31, or an age in days as 90d"
-        ) from None
+        raise UsageError(f"{option} {text}: must be a date as 2026-01-31{other}") from None

@@ -255,6 +255,10 @@ _JOB_OPTIONS = [
     ),
     click.option("--cycle", type=Finite(0.0002, 0.5), help="s, of the exchange."),
     click.option(
+        "--motor-temperature", type=Finite(-100, 300), metavar="T",
+        help="°C, as somebody measured it, to be compared by later: for drives that tell none.",
+    ),
+    click.option(
         "--watchdog", type=Finite(0.005, 5),
         help="s of silence after which the drive stops by itself; default: the profile's.",
     ),
@@ -289,6 +293,7 @@ class Job:
     points: bool
     output_filter: float | None
     cycle: float | None
+    motor_temperature: float | None
     watchdog: float | None
     without_watchdog: bool
     dry_run: bool
@@ -306,7 +311,7 @@ class Job:
         return Options(
             travel_from(self.travel), self.max_torque, self.max_speed, self.duration, self.fraction,
             self.method, self.solver, self.repeat, self.points, self.output_filter, self.cycle,
-            self.without_watchdog, self.dry_run,
+            self.without_watchdog, self.dry_run, motor_temperature=self.motor_temperature,
         )  # fmt: skip
 
     def axis(self, target: str) -> Axis:

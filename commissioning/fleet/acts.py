@@ -113,8 +113,8 @@ def _do(order: Order, axis: Axis, desk: Desk, step: Step, progress: _Progress) -
 
 def _run_to_verify(serial: str, axis: str, desk: Desk) -> str:
     """The last run that measured on this drive; raises Refused."""
-    for record in reversed(desk.journal.runs()):
-        if record.serial == serial and record.axis == axis and record.status == "completed":
+    for record in reversed(desk.journal.on_drive(serial)):
+        if record.axis == axis and record.status == "completed":
             return record.id
     raise Refused(
         f"no run of axis '{axis}' with the drive {serial} can be verified: identify it first",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from commissioning.fleet.ledger import Ledger, LedgerRow
-from commissioning.journal import Journal, RunRecord
+from commissioning.journal import Journal
 from commissioning.processes import is_alive
 from commissioning.result.fleet import JobState
 from drivers.places import same_place
@@ -49,13 +49,12 @@ def left_by(
     for name in axes:
         if name not in known:
             raise UnknownName(f"axis of fleet run {record.id}", name, known)
-    own = journal.runs()
     found: dict[str, Left] = {}
     for row in reversed(attempts):
         if axes and row.axis not in axes:
             continue
         written = everything or bool(axes)
-        for one in _runs_of(row, own, journal, others=not written):
+        for one in _runs_of(row, journal, others=not written):
             whole = written or row.state in _CUT_OFF
             intents = journal.intents(one, open_only=True)
             if any(whole or not intent.lasts for intent in intents):
@@ -63,20 +62,18 @@ def left_by(
     return list(found.values())
 
 
-def _runs_of(
-    row: LedgerRow, own: Sequence[RunRecord], journal: Journal, *, others: bool
-) -> list[str]:
+def _runs_of(row: LedgerRow, journal: Journal, *, others: bool) -> list[str]:
     """Of an attempt, by its outcome or its process; `others`: all that was cut off on its drive."""
     found = [row.run] if row.run else []
-    for one in reversed(own):
+    on_drive = journal.on_drive(row.serial) if row.serial else []
+    for one in reversed(on_drive):
         of_process = (
-            row.pid is not None and one.context.pid == row.pid and one.serial == row.serial
-            and one.axis == row.axis
+            row.pid is not None and one.context.pid == row.pid and one.axis == row.axis
             and one.context.started == row.started
         )  # fmt: skip
         if of_process and not is_alive(one.context.pid, one.context.started):
             found.append(one.id)
     if row.serial and others:
-        link = next((one.link for one in reversed(own) if one.serial == row.serial), "")
+        link = on_drive[-1].link if on_drive else ""
         found += journal.unfinished(row.serial, lambda other: same_place(other, link))
     return list(dict.fromkeys(found))

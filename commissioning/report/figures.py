@@ -38,7 +38,7 @@ __all__ = [
 ]
 
 BLUE, ORANGE, GREY, GREEN = "#0b5394", "#c55a11", "#6b6b6b", "#2e7d32"
-_STYLE: Any = {
+STYLE: Any = {
     "font.size": 9,
     "text.parse_math": False,  # names are names
     "font.family": "sans-serif",
@@ -59,7 +59,7 @@ _MOST_POINTS = 4000
 
 def overview(samples: Samples, units: Units) -> str:
     """Position and torque over the whole run, with its phases."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9.2, 3.6), layout="constrained")
         top, bottom = figure.subplots(2, 1, sharex=True)
         step = max(1, len(samples) // _MOST_POINTS)
@@ -96,7 +96,7 @@ def stages(samples: Samples) -> list[tuple[float, str]]:
 def tests_over_time(samples: Samples, result: RunResult) -> str:
     """Position, torque and velocity over some periods of both oscillations."""
     units = result.units
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9.2, 5.4), layout="constrained")
         grid = figure.subplots(3, 2, sharex="col", sharey="row")
         for column, cycle in enumerate(oscillations(result)):
@@ -129,7 +129,7 @@ def oscillations(result: RunResult) -> tuple[Oscillated, ...]:
 def phase_plane(samples: Samples, result: RunResult) -> str:
     """Velocity over position of both oscillations."""
     units = result.units
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(4.5, 3.9), layout="constrained")
         axes = figure.subplots()
         for n, cycle in enumerate(oscillations(result)):
@@ -151,7 +151,7 @@ def nyquist(result: RunResult) -> str:
     assert points is not None
     assert watched is not None
     coulomb = complex(*(watched.complex_coulomb or (0.0, 0.0)))
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(4.7, 3.9), layout="constrained")
         axes = figure.subplots()
         for n, cycle in enumerate(oscillations(result)):
@@ -228,7 +228,7 @@ def loci(
             f"ε = {{e:.3g}} {result.units.position}",
         ),
     ]
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9.6, 3.6), layout="constrained")
         row = figure.subplots(1, 3, sharex=True, sharey=True)
         for axes, (title, settings, label) in zip(row, panels, strict=True):
@@ -280,7 +280,7 @@ def tuning(result: RunResult, loop: str, curves: Mapping[str, Array]) -> str:
     """Phase margin of each rule, naive against corrected, and a step with friction."""
     sets = [s for s in result.of_loop(loop) if s.gains]
     rules = list(dict.fromkeys(s.rule for s in sets))
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9.6, 0.3 * len(rules) + 1.3), layout="constrained")
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.1))
         left.axvspan(
@@ -350,7 +350,7 @@ def friction_curve(result: RunResult) -> str:
     units, f, curve = result.units, result.friction.coulomb, result.friction.curve
     assert curve is not None
     speed, level = np.array(curve.speed), np.array(curve.friction)
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(4.7, 3.3), layout="constrained")
         axes = figure.subplots()
         axes.plot(speed, level, color=BLUE, lw=1.6, label="friction, mean of both directions")
@@ -379,7 +379,7 @@ def following(found: Verification, curves: Mapping[str, Array]) -> str:
     before, after = (curves.get(f"verify.{n}") for n in (0, kept))
     if before is None or after is None or len(before) != 3 or len(after) != 3:
         return ""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9.2, 3.6), layout="constrained")
         top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1, 2))
         top.plot(before[0], before[1], color=GREY, lw=1.0)

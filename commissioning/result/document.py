@@ -16,7 +16,7 @@ from pydantic import ConfigDict
 from commissioning.identification.reasons import Reason, Verdict
 from commissioning.result.changes import Change, Host, Written
 from commissioning.result.endings import Ending, Error
-from commissioning.result.experiment import Experiment
+from commissioning.result.experiment import Conditions, Experiment
 from commissioning.result.found import CriticalPoints, DriveTrain, Found, Quantity, Units
 from commissioning.result.kinds import Text
 from commissioning.result.readings import Methods
@@ -75,6 +75,7 @@ class RunResult:
     compensation : the proposal, or what stayed after its proof
     host_compensation : what the master has to do instead
     written : what this run has left in the drive
+    conditions : what friction depends on beside wear, when it was measured
     notes : what else is to be told
     """
 
@@ -105,6 +106,7 @@ class RunResult:
     written: tuple[Written, ...] = ()
     verification: Verification | None = None
     experiment: Experiment | None = None
+    conditions: Conditions | None = None
     quality: Quality = field(default_factory=Quality)
     ending: Ending | None = None
     error: Error | None = None

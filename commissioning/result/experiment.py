@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from commissioning.result.kinds import Count, Finite, Pair, Positive, Text
 
-__all__ = ["Allowed", "Bases", "Experiment", "FirstLookReading", "Oscillated", "Setup"]
+__all__ = [
+    "Allowed",
+    "Bases",
+    "Conditions",
+    "Experiment",
+    "FirstLookReading",
+    "Oscillated",
+    "Setup",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +90,27 @@ class Setup:
     bases: Bases
     first_look: FirstLookReading
     loop_lag: Finite = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What friction depends on beside wear; None: not known.
+
+    Attributes
+    ----------
+    motor_temperature, drive_temperature : °C
+    minutes_on : since the drive was switched on, min
+    position : where the axis stood when it began, rad or m
+    third : which third of the travel that is, 0 to 2, where the axis file says its ends
+    cycle : of the exchange, s
+    """
+
+    motor_temperature: Finite | None = None
+    drive_temperature: Finite | None = None
+    minutes_on: Finite | None = None
+    position: Finite | None = None
+    third: Literal[0, 1, 2] | None = None
+    cycle: Positive | None = None
 
 
 @dataclass(frozen=True, slots=True)

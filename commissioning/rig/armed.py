@@ -24,6 +24,7 @@ from commissioning.result.document import Quality, RunResult
 from commissioning.result.endings import AxisState
 from commissioning.result.experiment import Allowed
 from commissioning.rig import preflight
+from commissioning.rig.conditions import conditions
 from commissioning.rig.preflight import check_watchdog, choose_limits, look, writes
 from commissioning.rig.results import Rejected, experiment
 from commissioning.rig.rig import Rig
@@ -127,7 +128,8 @@ def _begun(
     identity = drive.identity()
     profile_text = source_of(axis, drive.profile)
     run_id = begin_run(desk, drive, identity, axis, options.fraction)
-    draft.result = replace(draft.result, run=run_id)
+    seen = conditions(drive, axis, limits.start, options.motor_temperature)
+    draft.result = replace(draft.result, run=run_id, conditions=seen)
     folder = RunFolder.of(desk.journal, run_id)
     folder.save(
         draft.result, profile=profile_text

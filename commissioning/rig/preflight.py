@@ -146,6 +146,7 @@ def choose_limits(drive: Drive, axis: Axis, options: Options) -> Limits:
     speed = _speed(drive, axis, options)
     drive.preparation.check_set_points(Mode.TORQUE, torque)
     start = drive.read(POSITION).si
+    _between_ends(axis, start, travel)
     duration = options.duration or axis.limits.duration
     return Limits(start, travel, torque, speed, rated, duration)
 
@@ -170,6 +171,25 @@ def _travel(drive: Drive, axis: Axis, options: Options) -> float:
             hint="give more --travel",
         )
     return travel
+
+
+def _between_ends(axis: Axis, start: float, travel: float) -> None:
+    """Raise PreflightRefused where the axis could leave its travel."""
+    if axis.limits.ends is None:
+        return
+    low, high = axis.limits.ends
+    room, unit = min(start - low, high - start), axis.position_unit
+    if travel > room:
+        where = "outside of" if room < 0 else f"{room:.4g} {unit} from"
+        raise PreflightRefused(
+            f"the axis stands at {start:.4g} {unit}, {where} the ends of its travel "
+            f"({low:g}…{high:g} {unit}), and may move ±{travel:.4g} {unit}",
+            code="preflight.ends",
+            value=travel,
+            limit=max(room, 0.0),
+            unit=unit,
+            hint="move it towards the middle, or give less --travel",
+        )
 
 
 def _torque(drive: Drive, axis: Axis, options: Options, rated: float) -> float:

@@ -66,10 +66,14 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
     record = history.run
     if not _ID.fullmatch(run) or run.endswith((".", ".toml")):
         raise UsageError(f"{path}: '{run:.100}' is no id of a run")
-    if desk.journal.knows(run):
-        desk.tell(f"run {run} is known here: nothing was taken in")
-        return run
-    target, result = RunFolder.of(desk.journal, run), folder.result()
+    known = desk.journal.known_as(record)
+    if known is not None:
+        new = sum(desk.journal.note_on(note) for note in history.notes)
+        notes = f"{new} note(s) on its axis were" if new else "nothing was"
+        desk.tell(f"run {known} is known here: {notes} taken in")
+        return known
+    here = desk.journal.free_id(run)
+    target, result = RunFolder.of(desk.journal, here), folder.result()
     if target.path.exists():
         raise Refused(
             f"{target.path}: is there, of a run that the journal does not know: move it away",
@@ -88,26 +92,28 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
     check_files_of_others(record.link, "state")
     if axis.name != record.axis:
         raise UsageError(f"{path}: its axis is named otherwise than its run")
-    name, here = _known_here(profile, result, path)
+    name, own = _known_here(profile, result, path)
     theirs = _of_the_run(folder, path)
-    found = _differences(history, result, theirs, here) or _impossible(history, result, here)
+    found = _differences(history, result, theirs, own) or _impossible(history, result, own)
     if found:
         raise Refused(
-            f"{path}: not taken in, it differs from profile '{here.name}' as it is known here: "
+            f"{path}: not taken in, it differs from profile '{own.name}' as it is known here: "
             + "; ".join(found[:_SHOWN])
             + (f"; and {len(found) - _SHOWN} more" if found[_SHOWN:] else ""),
             code="adopt.differs",
         )
     samples = folder.samples()
-    show(Adopted(run, axis, record.serial, here, history.intents))
+    show(Adopted(run, axis, record.serial, own, history.intents))
+    if here != run:
+        desk.tell(f"another run here has the id {run}: this one will be called {here}")
     desk.agree(
         "This run of another computer will be TAKEN IN: 'apply', 'verify' and 'restore' then write "
         f"to the drive of axis '{record.axis}' by it.",
         record.axis,
         "it was not taken in",
     )
-    target.save(replace(result, written=()), samples, source_text(name))
-    return desk.journal.adopt(history)
+    target.save(replace(result, run=here, written=()), samples, source_text(name))
+    return desk.journal.adopt(replace(history, run=replace(record, id=here)))
 
 
 def _known_here(profile: str | None, result: RunResult, path: Path) -> tuple[str, Profile]:

@@ -14,7 +14,7 @@ from commissioning.result.words import VERDICTS
 from commissioning.runs import RunFolder, drive_state
 from profiles.errors import UsageError
 
-__all__ = ["Listed", "runs"]
+__all__ = ["Listed", "listed", "runs"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,15 +39,16 @@ class Listed:
     adopted: bool
 
 
-def runs(journal: Journal, axis: str | None, most: int | None) -> tuple[list[Listed], int]:
-    """The last `most` runs (of `axis`) in their order, and how many there are before."""
-    found = [one for one in journal.runs() if axis is None or one.axis == axis]
-    shown = found if most is None else found[-most:]
-    return [_listed(journal, one) for one in shown], len(found) - len(shown)
+def runs(journal: Journal, most: int | None) -> tuple[list[Listed], int]:
+    """The last `most` runs in their order, and how many there are before."""
+    found, before = journal.last_runs(most)
+    return [listed(journal, run) for run in found], before
 
 
-def _listed(journal: Journal, record: RunRecord) -> Listed:
-    history = journal.history(record.id)
+def listed(journal: Journal, run: str) -> Listed:
+    """One run."""
+    history = journal.history(run, of_drive=False)
+    record = history.run
     result: RunResult | None = None
     try:
         result = RunFolder.of(journal, record.id).result(history)

@@ -42,6 +42,7 @@ class VirtualAxis:
     jitter : share of the cycles that are late, by an exponential time of mean one cycle
     loss : share of the cycles without a sample
     stamp : rms error of the time stamps, s
+    temperature : of the motor, °C, as the drive tells it
     delay : s, from a torque command to its torque
     encoder : counts per turn, or per metre
     cycle : s, of the link, where the link has no other
@@ -90,6 +91,7 @@ class VirtualAxis:
     jitter: float = 0.0
     loss: float = 0.0
     stamp: float = 0.0
+    temperature: float = field(default=25.0, repr=False)  # no other drive for it
     memory: str = field(default="", repr=False)
 
     @property
@@ -244,6 +246,7 @@ _RANGES = {
     "load_friction": (0, 0.9), "pitch": (1e-6, 1e4), "resonance": (0, 2000.0), "ratio": (1e-3, 1e3),
     "damping": (0, 1.0), "backlash": (0, 1e3), "load_coulomb": (0, 1e6), "output_filter": (0, 1e4),
     "jitter": (0, 1.0), "loss": (0, 0.3), "stamp": (0, 0.1), "cogging": (-1e6, 1e6),
+    "temperature": (-100.0, 300.0),
     "inertia": (1e-9, 1e9), "viscous": (0, 1e9), "coulomb": (0, 1e9), "asymmetry": (-0.99, 0.99),
 }  # fmt: skip
 

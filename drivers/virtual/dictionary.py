@@ -56,6 +56,7 @@ OWN = Dictionary(
         (0x2011, 2): _own("integral_time", "I"),
         (0x2011, 3): _own("position_gain", "I"),
         (0x2011, 4): _own("torque_lag", "I", "ro"),
+        (0x2012, 1): _own("motor_temperature", "h", "ro"),
         (0x6007, 0): _own("abort_connection_option", "h"),
         (0x603F, 0): _own("error_code", "H", "ro"),
         (0x6040, 0): _own("controlword", "H"),

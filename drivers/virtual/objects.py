@@ -66,6 +66,7 @@ def objects(axis: VirtualAxis) -> dict[str, Object]:
         "supported_modes": fixed(sum(1 << (mode - 1) for mode in MODES)),
         "serial": fixed(axis.serial),
         "torque_lag": fixed(round(axis.lag * 1e6)),  # us
+        "motor_temperature": fixed(round(10 * axis.temperature)),  # 0.1 degC
         "max_torque": setting(per_mille, 0, per_mille),
         "max_speed": setting(round(axis.speed * 600 / (2 * pi)), 0, 10_000_000),  # 0.1 rpm
         "torque_slope": setting(0xFFFFFFFF, 1, 0xFFFFFFFF),  # per mille of rated a second

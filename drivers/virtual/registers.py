@@ -56,6 +56,7 @@ _OWN: dict[int, tuple[str, str]] = {
     0x0412: ("integral_time", "I"),
     0x0414: ("position_gain", "I"),
     0x0416: ("torque_lag", "I"),
+    0x0418: ("motor_temperature", "h"),
     0x0500: ("store_command", "H"),
     0x0501: ("store_status", "H"),
     0x0510: ("simulation_cycle", "I"),

@@ -206,6 +206,8 @@ def _entry(
         return Entry((), code, "ro", name=name, default=round(RATED_CURRENT / parameter.scale))
     if name in profile.own_estimates.values():
         return Entry((), code, "ro", name=name, default=axis.coulomb / parameter.scale)
+    if name == profile.conditions.get("motor_temperature"):
+        return Entry((), code, "ro", name=name, default=round(axis.temperature / parameter.scale))
     known = [key for key in keys if key in _FIRMWARE]
     if not known:
         wanted = [value for c in profile.requires if c.parameter == name for value in c.wanted]

@@ -53,8 +53,8 @@ def test_an_axis_is_called_what_people_call_it(
     assert result["run"].isascii()
     assert (home() / "runs" / result["run"] / "run.json").exists()
     assert tworelay("apply", result["run"], "--yes").returncode == 0
-    listed = json.loads(tworelay("history", name, "--json").stdout) if name[0] != "-" else []
-    assert [one["axis"] for one in listed] == ([name] if name[0] != "-" else [])
+    listed = json.loads(tworelay("history", "list", "--json", "--", name).stdout)["runs"]
+    assert [one["axis"] for one in listed] == [name]
     assert tworelay("export", "last", str(tmp_path / "sent")).returncode == 0
     other = {"TWORELAY_HOME": str(tmp_path / "other")}
     done = tworelay("adopt", str(tmp_path / "sent"), "--yes", environment=other)

@@ -1,0 +1,57 @@
+"""The index is made of what it lacks: runs of older versions, and rows that are damaged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+from commissioning.errors import JournalError
+from commissioning.journal import Journal
+from commissioning.result.document import RunResult
+from commissioning.result.experiment import Conditions
+from commissioning.result.history import INDEXED, IndexedRun
+from commissioning.runs import RunFolder
+from drivers.home import home
+from profiles.errors import UsageError
+
+__all__ = ["catch_up", "said_by_run"]
+
+
+def catch_up(runs: Iterable[str], told: Callable[[int], None] = lambda step: None) -> bool:
+    """Index these runs; returns whether the index could be written.
+
+    `told` : each run, 1
+    """
+    try:
+        with Journal(home()) as journal:
+            for run in runs:
+                journal.index(run, _result(journal, run))
+                told(1)
+    except JournalError:
+        return False
+    return True
+
+
+def said_by_run(journal: Journal, entry: IndexedRun) -> IndexedRun:
+    """A run as its own file says, where the index cannot be written."""
+    result = _result(journal, entry.run)
+    if result is None:
+        return entry
+    numbers = {name: getattr(result.friction, name) for name in INDEXED}
+    return replace(
+        entry,
+        host=result.host,
+        version=result.tool.version if result.tool else None,
+        method=result.friction.method,
+        verdict=result.quality.verdict,
+        quantities={name: found for name, found in numbers.items() if found is not None},
+        conditions=result.conditions or Conditions(),
+    )
+
+
+def _result(journal: Journal, run: str) -> RunResult | None:
+    """What the run's file says; None where it is no more, or no result."""
+    try:
+        return RunFolder.of(journal, run).result()
+    except UsageError:
+        return None

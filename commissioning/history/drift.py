@@ -1,0 +1,255 @@
+"""Whether an axis gets worse: an EWMA chart of what was measured under like conditions.
+
+Roberts, Control chart tests based on geometric moving averages, Technometrics 1 (1959); Lucas and
+Saccucci, Exponentially weighted moving average control schemes, Technometrics 32 (1990).
+Temperature and load change friction more than wear does (Bittencourt and Axelsson, IEEE/ASME
+T-Mechatronics 19 (2014)), so only runs alike are compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import inf, sqrt
+from statistics import fmean
+
+from commissioning.result.history import Drift, IndexedRun, Note, ValueSeen
+
+__all__ = ["BASELINE", "GATE", "LIMIT", "Chart", "drift", "segment"]
+
+BASELINE = 20  # like runs before there is a chart
+GATE = 10.0  # %: a smaller change is no alarm
+WEIGHT = 0.2  # of the newest run
+LIMIT = 2.86 * sqrt(WEIGHT / (2 - WEIGHT))
+_TEMPERATURE = 10.0  # K
+_PRESENT = 10  # runs that tell the level now
+_SURE = 1.96  # of a normal distribution, 95 %
+
+
+class Chart:
+    """An EWMA of standardised deviations.
+
+    Parameters
+    ----------
+    centre, between : mean, and standard deviation from run to run beside each run's own, where they
+        are known; else they are those of `baseline` runs, and of all runs in control since
+    gate : change below which there is no alarm, %
+    """
+
+    def __init__(
+        self,
+        *,
+        centre: float | None = None,
+        between: float = 0.0,
+        baseline: int = BASELINE,
+        gate: float = GATE,
+    ) -> None:
+        self.centre, self.between = centre, between
+        self.ewma = 0.0
+        self.change = 0.0  # EWMA of the deviation, as a share of the centre
+        self._known, self._needed, self._gate = centre is not None, baseline, gate / 100
+        self.baseline = 0  # runs that made the centre
+        self._squares = 0.0  # of their deviations, summed
+        self._own = 0.0  # of their own variances, likewise
+
+    def sigma(self, own: float) -> float:
+        """Standard deviation of a run whose own is `own`."""
+        least = 1e-9 * abs(self.centre or 0.0)
+        return max(sqrt(own**2 + self.between**2), least)
+
+    def add(self, value: float, own: float) -> bool | None:
+        """Take in a run with its own standard deviation; returns whether it alarms.
+
+        None while the baseline is made.
+        """
+        if not self._known and self.baseline < self._needed:
+            self._learn(value, own)
+            return None
+        assert self.centre is not None
+        sigma, away = self.sigma(own), value - self.centre
+        z = away / sigma if sigma else (0.0 if not away else inf)
+        self.ewma += WEIGHT * (z - self.ewma)
+        share = away / abs(self.centre) if self.centre else inf
+        self.change += WEIGHT * (share - self.change)
+        out = abs(self.ewma) > LIMIT
+        if not out and not self._known:
+            self._learn(value, own)
+        return out and abs(self.change) >= self._gate
+
+    def _learn(self, value: float, own: float) -> None:
+        """By Welford's recursion."""
+        self.baseline += 1
+        before = value if self.centre is None else self.centre
+        self.centre = before + (value - before) / self.baseline
+        self._squares += (value - before) * (value - self.centre)
+        self._own += own**2
+        if self.baseline > 1:
+            all_of_it = self._squares / (self.baseline - 1)
+            self.between = sqrt(max(all_of_it - self._own / self.baseline, 0.0))
+
+
+# -- which runs are compared ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """Runs since the last event that ends a baseline, and what that was."""
+
+    entries: tuple[IndexedRun, ...]
+    text: str
+    at: float | None
+
+
+def segment(entries: Sequence[IndexedRun], notes: Sequence[Note]) -> Segment:
+    """The measured runs of an axis since its last event."""
+    measured = [one for one in entries if one.measured]
+    begin, text = 0, "the first run"
+    at = measured[0].began if measured else None
+    for number, (before, one) in enumerate(pairwise(measured), 1):
+        if (event := _event(before, one)) is not None:
+            begin, text, at = number, event, one.began
+    for note in notes:
+        behind = [n for n, one in enumerate(measured) if _is_behind(one, note)]
+        first = behind[0] if behind else len(measured)
+        if first >= begin:
+            begin, text, at = first, f"the note '{note.text}'", note.at
+    return Segment(tuple(measured[begin:]), text, at)
+
+
+def _is_behind(entry: IndexedRun, note: Note) -> bool:
+    """Whether a run came after a note: in the journal's order where that tells, else by date."""
+    if note.number is not None and not entry.adopted:
+        return entry.number > note.number
+    return entry.began >= note.at
+
+
+def _event(before: IndexedRun, after: IndexedRun) -> str | None:
+    """What ends a baseline between two runs."""
+    if before.serial != after.serial:
+        return f"the drive was exchanged for {after.serial or 'one without a serial number'}"
+    if before.method != after.method:
+        return f"the method became '{after.method}'"
+    if _major(before.version) != _major(after.version):
+        return f"tworelay became {after.version}"
+    return None
+
+
+def _major(version: str | None) -> tuple[str, ...]:
+    """Major version; below 1, where every minor one may differ, that too."""
+    parts = (version or "0.1").split(".")
+    return tuple(parts[:1]) if parts[0] != "0" else tuple(parts[:2])
+
+
+def _like(one: IndexedRun, newest: IndexedRun) -> bool:
+    """Whether two runs were made under like conditions."""
+    here, there = one.conditions, newest.conditions
+    a, b = here.motor_temperature, there.motor_temperature
+    warm = a is b is None or (a is not None and b is not None and abs(a - b) <= _TEMPERATURE)
+    return warm and here.third == there.third
+
+
+# -- the chart ------------------------------------------------------------------------------------
+
+
+def drift(
+    entries: Sequence[IndexedRun], notes: Sequence[Note], quantity: str, *, gate: float = GATE
+) -> Drift | None:
+    """Whether a quantity has changed; None where no run has measured it, or it is 0.
+
+    `gate` : change below which there is no alarm, %
+    """
+    since = segment(entries, notes)
+    those = [one for one in since.entries if quantity in one.quantities]
+    if not those:
+        return None
+    newest = those[-1]
+    unit = newest.quantities[quantity].unit
+    alike = [one for one in those if _like(one, newest) and one.quantities[quantity].unit == unit]
+    seen = tuple(_seen(one, quantity) for one in alike)
+    bare = Drift(
+        quantity, unit, "not enough runs", seen, len(those) - len(alike),
+        since=since.at, since_text=since.text, said=_said(newest),
+    )  # fmt: skip
+    return _charted(bare, gate) if len(seen) > BASELINE else _outside(bare)
+
+
+def _seen(entry: IndexedRun, quantity: str) -> ValueSeen:
+    found = entry.quantities[quantity]
+    return ValueSeen(entry.run, entry.began, found.value, found.low, found.high)
+
+
+def _said(newest: IndexedRun) -> tuple[str, ...]:
+    seen = newest.conditions
+    said = []
+    if seen.motor_temperature is None:
+        said.append("the motor's temperature is not known, and friction falls with it")
+    if seen.third is None:
+        said.append("the place in the travel is not known ('ends' of an axis file tells it)")
+    return tuple(said)
+
+
+def _outside(found: Drift) -> Drift:
+    """Too few runs for a chart: whether the newest and the first exclude each other."""
+    first, last = found.points[0], found.points[-1]
+    if None in (first.low, first.high, last.low, last.high) or not first.value:
+        return found
+    assert first.low is not None
+    assert first.high is not None
+    assert last.low is not None
+    assert last.high is not None
+    if last.low <= first.high and first.low <= last.high:
+        return found
+    change = 100 * (last.value - first.value) / abs(first.value)
+    error = sqrt((last.high - last.low) ** 2 + (first.high - first.low) ** 2) / 2
+    return replace(
+        found,
+        state="changed",
+        change=change,
+        change_error=100 * error / abs(first.value),
+        first_seen=last.began,
+        first_run=last.run,
+    )
+
+
+def _own(one: ValueSeen) -> float:
+    """Standard deviation of a run by its interval: half of its half-width."""
+    return 0.0 if one.low is None or one.high is None else (one.high - one.low) / 4
+
+
+def _charted(found: Drift, gate: float) -> Drift:
+    chart = Chart(gate=gate)
+    seen: list[ValueSeen] = []
+    first: ValueSeen | None = None
+    begin = 0  # of the change: the EWMA has had one sign since
+    alarm: bool | None = None
+    for number, one in enumerate(found.points):
+        before = chart.ewma
+        alarm = chart.add(one.value, _own(one))
+        if alarm is None:
+            seen.append(one)
+            begin = number + 1
+            continue
+        if chart.ewma * before <= 0:
+            begin = number
+        first = (first or one) if alarm else None
+        seen.append(replace(one, ewma=chart.ewma))
+    if not chart.centre:
+        return found
+    now = seen[begin:][-_PRESENT:]
+    level = fmean(one.value for one in now) - chart.centre
+    sigma = chart.sigma(sqrt(fmean(_own(one) ** 2 for one in now)))
+    error = _SURE * sigma * sqrt(1 / len(now) + 1 / chart.baseline)
+    return replace(
+        found,
+        state="drifting" if alarm else "in control",
+        points=tuple(seen),
+        baseline=chart.baseline,
+        centre=chart.centre,
+        sigma=sigma,
+        limit=LIMIT,
+        change=100 * level / abs(chart.centre),
+        change_error=100 * error / abs(chart.centre),
+        first_seen=None if first is None else first.began,
+        first_run=None if first is None else first.run,
+    )

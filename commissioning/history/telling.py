@@ -1,0 +1,131 @@
+"""A history in words, and for a spreadsheet."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import astuple, fields
+from datetime import datetime
+from itertools import pairwise
+
+from commissioning.result.experiment import Conditions
+from commissioning.result.history import INDEXED, Drift, IndexedRun, Note, Story
+from profiles.plain import plain
+
+__all__ = ["LABELS", "csv_text", "day", "drift_words", "events"]
+
+LABELS = {"coulomb": "friction", "viscous": "viscous friction", "inertia": "inertia"}
+_CONDITIONS = tuple(one.name for one in fields(Conditions))
+
+
+def day(instant: float) -> str:
+    """A date as people write it, in the zone of this computer."""
+    at = datetime.fromtimestamp(instant).astimezone()
+    return f"{at.day} {at:%B %Y}"
+
+
+def drift_words(axis: str, found: Drift) -> str:
+    """What a chart says, in the words of maintenance."""
+    of = f"{LABELS.get(found.quantity, found.quantity)} of {axis}"
+    since = _since(found)
+    alone = "" if found.since_text == "the first run" else f" {since}"
+    count = len(found.points)
+    out = f" ({found.left_out} more under other conditions)" if found.left_out else ""
+    if found.state == "not enough runs":
+        return (
+            f"{of}: {count} run(s) under like conditions {since}{out}; a chart needs more than 20, "
+            "and till then the intervals of the first and the last are compared: they overlap"
+            if count > 1
+            else f"{of}: one run{alone}{out}: nothing to compare it with"
+        )
+    change = f"{found.change:+.2g} % ± {found.change_error:.2g} %"
+    if found.state == "changed":
+        return (
+            f"{of}: {change} {since}, seen on {day(found.first_seen or 0)}: outside both "
+            f"intervals, of {count} run(s){out}; too few for a chart"
+        )
+    if found.state == "in control":
+        return f"{of}: in control, {change} {since}, by {count} run(s) under like conditions{out}"
+    return f"{of}: {change} {since}, seen first on {day(found.first_seen or 0)}{out}"
+
+
+def _since(found: Drift) -> str:
+    if found.since is None:
+        return ""
+    if found.since_text.startswith("the "):
+        joint = "of" if found.since_text.startswith("the note") else "on"
+        if found.since_text.startswith("the drive") or found.since_text.startswith("the method"):
+            return f"since {found.since_text} on {day(found.since)}"
+        return f"since {found.since_text} {joint} {day(found.since)}"
+    return f"since {found.since_text} on {day(found.since)}"
+
+
+def events(story: Story) -> list[tuple[int, float, str]]:
+    """What happened between the runs: before which of the story's runs, when, and what."""
+    found: list[tuple[int, float, str]] = []
+    entries = story.entries
+    for number, (before, after) in enumerate(pairwise(entries), 1):
+        if before.serial != after.serial:
+            text = f"drive exchanged: {before.serial or 'none'} → {after.serial or 'none'}"
+            found.append((number, after.began, text))
+    for note in story.notes:
+        who = f" ({note.who})" if note.who else ""
+        found.append((_place(entries, note), note.at, f"note: {note.text}{who}"))
+    return sorted(found, key=lambda one: one[0])
+
+
+def _place(entries: tuple[IndexedRun, ...], note: Note) -> int:
+    """Before which run a note stands."""
+    for number, one in enumerate(entries):
+        if note.number is not None and not one.adopted:
+            if one.number > note.number:
+                return number
+        elif one.began >= note.at:
+            return number
+    return len(entries)
+
+
+def csv_text(story: Story) -> str:
+    """A line a run, a note and an exchange of drives, in order; SI units, which the head has."""
+    units = {n: q.unit for one in story.entries for n, q in one.quantities.items()}
+    head = ["kind", "at", "axis", "run", "host", "serial", "tworelay", "method", "verdict"]
+    for name in INDEXED:
+        unit = f" [{units[name]}]" if name in units else ""
+        head += [f"{name}{unit}", f"{name}_low{unit}", f"{name}_high{unit}"]
+    head += [*_CONDITIONS, "text"]
+    stream = io.StringIO()
+    writer = csv.writer(stream)
+    writer.writerow(head)
+    happened = events(story)
+    for number, one in enumerate((*story.entries, None)):
+        for _, at, text in (event for event in happened if event[0] == number):
+            kind = "note" if text.startswith("note") else "drive"
+            row = [kind, _iso(at), story.axis, *[""] * (len(head) - 4), text]
+            writer.writerow([_harmless(cell) for cell in row])
+        if one is not None:
+            writer.writerow([_harmless(cell) for cell in _row(one)])
+    return stream.getvalue()
+
+
+def _row(one: IndexedRun) -> list[str]:
+    row = [
+        "run", _iso(one.began), one.axis, one.run, one.host or "", one.serial, one.version or "",
+        one.method or "", one.verdict or "",
+    ]  # fmt: skip
+    for name in INDEXED:
+        found = one.quantities.get(name)
+        values = (found.value, found.low, found.high) if found else (None,) * 3
+        row += ["" if value is None else f"{value:.9g}" for value in values]
+    seen = ("" if value is None else f"{value:.9g}" for value in astuple(one.conditions))
+    return [*row, *seen, ""]
+
+
+def _iso(instant: float) -> str:
+    return datetime.fromtimestamp(instant).astimezone().isoformat(timespec="seconds")
+
+
+def _harmless(cell: str) -> str:
+    """A text that no spreadsheet takes for a formula."""
+    text = plain(cell)
+    is_formula = text[:1] in ("=", "+", "@") or (text[:1] == "-" and not text[1:2].isdigit())
+    return f"'{text}" if is_formula else text

@@ -1,0 +1,223 @@
+"""What is known of an axis over the years: runs, drives, notes, and whether it gets worse."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final, Literal
+
+from commissioning.result.experiment import Conditions
+from commissioning.result.found import Quantity
+
+__all__ = [
+    "HISTORY_SCHEMA",
+    "INDEXED",
+    "Compared",
+    "ComparedParameter",
+    "Comparison",
+    "Drift",
+    "DriveFitted",
+    "IndexedRun",
+    "Note",
+    "Story",
+    "ValueSeen",
+]
+
+HISTORY_SCHEMA: Final = "tworelay.history/1"
+INDEXED = ("coulomb", "offset", "viscous", "inertia", "dead_time", "low_speed")
+
+
+@dataclass(frozen=True, slots=True)
+class IndexedRun:
+    """A run, as the index of all runs has it.
+
+    Attributes
+    ----------
+    number : its place in the order of the runs
+    began : s since 1970, by the clock of the computer that measured it
+    host : that computer; None: not known
+    adopted : it was measured on another one
+    version : of tworelay; None: before it was noted
+    verdict : None where nothing was measured to its end
+    quantities : by name, of INDEXED
+    """
+
+    run: str
+    number: int
+    began: float
+    axis: str
+    serial: str
+    link: str
+    adopted: bool
+    host: str | None = None
+    version: str | None = None
+    method: str | None = None
+    verdict: str | None = None
+    quantities: dict[str, Quantity] = field(default_factory=dict)
+    conditions: Conditions = field(default_factory=Conditions)
+
+    @property
+    def measured(self) -> bool:
+        """Whether it gave numbers that can be trusted."""
+        return self.verdict in ("good", "usable") and bool(self.quantities)
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """What was done to an axis; the runs behind it are compared with each other only.
+
+    Attributes
+    ----------
+    number : run of this computer that was the last one then; None: its date tells its place
+    at : s since 1970
+    who, host : None where the system did not tell
+    """
+
+    axis: str
+    at: float
+    text: str
+    who: str | None = None
+    host: str | None = None
+    number: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DriveFitted:
+    """From which run to which an axis had a drive, by its serial number."""
+
+    serial: str
+    since_run: str
+    until_run: str
+
+
+@dataclass(frozen=True, slots=True)
+class ValueSeen:
+    """A quantity of one run of a chart, and what the chart made of it.
+
+    Attributes
+    ----------
+    ewma : of the standardised deviation; None before there is a baseline
+    """
+
+    run: str
+    began: float
+    value: float
+    low: float | None
+    high: float | None
+    ewma: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Whether a quantity has changed, among runs under like conditions.
+
+    Attributes
+    ----------
+    state : 'in control' | 'drifting' | 'changed' (fewer runs than a chart needs: outside both
+        intervals) | 'not enough runs'
+    points : runs that are compared, in their order
+    left_out : runs behind the same event under other conditions, or whose numbers cannot be used
+    baseline : runs that made the centre
+    centre : mean of the baseline, SI
+    sigma : standard deviation of one run about it, SI
+    limit : of |ewma|
+    change, change_error : of the level now against the centre, and half of its 95 % interval, %
+    since, since_text : what began the baseline: s since 1970, and in words
+    first_seen, first_run : of the alarm
+    said : what cannot be told apart for want of knowledge
+    """
+
+    quantity: str
+    unit: str
+    state: Literal["in control", "drifting", "changed", "not enough runs"]
+    points: tuple[ValueSeen, ...] = ()
+    left_out: int = 0
+    baseline: int = 0
+    centre: float | None = None
+    sigma: float | None = None
+    limit: float | None = None
+    change: float | None = None
+    change_error: float | None = None
+    since: float | None = None
+    since_text: str = ""
+    first_seen: float | None = None
+    first_run: str | None = None
+    said: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Story:
+    """The history of one axis.
+
+    Attributes
+    ----------
+    entries : its runs in their order, those of other computers put in by their dates
+    remarks : what else is to be told: other names, other axes of its name
+    """
+
+    axis: str
+    entries: tuple[IndexedRun, ...]
+    drives: tuple[DriveFitted, ...] = ()
+    notes: tuple[Note, ...] = ()
+    drifts: tuple[Drift, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """A quantity of two runs.
+
+    Attributes
+    ----------
+    first, second : None where that run did not measure it
+    change : of the second against the first, %; None where either is missing, or the first is 0
+    excluded : whether the intervals exclude each other; None where one of them is not known
+    """
+
+    quantity: str
+    unit: str
+    first: Quantity | None
+    second: Quantity | None
+    change: float | None
+    excluded: bool | None
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedParameter:
+    """A parameter of the drive in two runs, as the drive counts.
+
+    Attributes
+    ----------
+    first_old, second_old : what the drive had before the run; None: the run did not look
+    first, second : what the run proposed, or left there; None: nothing
+    first_state, second_state : what became of that
+    """
+
+    parameter: str
+    raw_unit: str
+    first_old: int | None
+    first: int | None
+    first_state: str
+    second_old: int | None
+    second: int | None
+    second_state: str
+
+    @property
+    def differs(self) -> bool:
+        """Whether both runs have a value, and not the same."""
+        return None not in (self.first, self.second) and self.first != self.second
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Two runs side by side.
+
+    Attributes
+    ----------
+    remarks : what else is not the same: axis, drive, method, temperature, version
+    """
+
+    first: str
+    second: str
+    quantities: tuple[Compared, ...]
+    parameters: tuple[ComparedParameter, ...]
+    remarks: tuple[str, ...] = ()

@@ -15,7 +15,7 @@ from commissioning.journal_file import OpenJournal
 from commissioning.result.document import RunResult
 from commissioning.result.experiment import Conditions
 from commissioning.result.found import Quantity
-from commissioning.result.history import INDEXED, IndexedRun, Note
+from commissioning.result.history import IndexedRun, Note, conditions_of, numbers_of
 
 __all__ = ["Index"]
 
@@ -184,12 +184,8 @@ def _rows(result: RunResult | None) -> tuple[Row, list[Row], Row]:
         return (None,) * 4, [], (None,) * len(_CONDITIONS)
     version = result.tool.version if result.tool else None
     about = result.host, version, result.friction.method, result.quality.verdict
-    numbers = ((name, getattr(result.friction, name)) for name in INDEXED)
-    results = [(name, q.value, q.low, q.high, q.unit) for name, q in numbers if q is not None]
-    seen = result.conditions or Conditions(
-        cycle=result.experiment.cycle if result.experiment else None
-    )
-    return about, results, astuple(seen)
+    results = [(name, q.value, q.low, q.high, q.unit) for name, q in numbers_of(result).items()]
+    return about, results, astuple(conditions_of(result))
 
 
 def _digest(about: Row, results: Sequence[Row], conditions: Row) -> str:

@@ -8,8 +8,7 @@ from dataclasses import replace
 from commissioning.errors import JournalError
 from commissioning.journal import Journal
 from commissioning.result.document import RunResult
-from commissioning.result.experiment import Conditions
-from commissioning.result.history import INDEXED, IndexedRun
+from commissioning.result.history import IndexedRun, conditions_of, numbers_of
 from commissioning.runs import RunFolder
 from drivers.home import home
 from profiles.errors import UsageError
@@ -37,15 +36,14 @@ def said_by_run(journal: Journal, entry: IndexedRun) -> IndexedRun:
     result = _result(journal, entry.run)
     if result is None:
         return entry
-    numbers = {name: getattr(result.friction, name) for name in INDEXED}
     return replace(
         entry,
         host=result.host,
         version=result.tool.version if result.tool else None,
         method=result.friction.method,
         verdict=result.quality.verdict,
-        quantities={name: found for name, found in numbers.items() if found is not None},
-        conditions=result.conditions or Conditions(),
+        quantities=numbers_of(result),
+        conditions=conditions_of(result),
     )
 
 

@@ -23,6 +23,8 @@ GATE = 10.0  # %: a smaller change is no alarm
 WEIGHT = 0.2  # of the newest run
 LIMIT = 2.86 * sqrt(WEIGHT / (2 - WEIGHT))
 _TEMPERATURE = 10.0  # K
+_SPREAD = 2.0  # K, of a baseline that tells what the temperature does
+_STEEPEST = 0.02  # a kelvin, of any grease
 _PRESENT = 10  # runs that tell the level now
 _SURE = 1.96  # of a normal distribution, 95 %
 
@@ -52,20 +54,27 @@ class Chart:
         self.baseline = 0  # runs that made the centre
         self._squares = 0.0  # of their deviations, summed
         self._own = 0.0  # of their own variances, likewise
+        self._warmth = _Warmth()
 
     def sigma(self, own: float) -> float:
         """Standard deviation of a run whose own is `own`."""
         least = 1e-9 * abs(self.centre or 0.0)
         return max(sqrt(own**2 + self.between**2), least)
 
-    def add(self, value: float, own: float) -> bool | None:
+    @property
+    def explained(self) -> float:
+        """What the temperature explains of `change`, as a share of the centre."""
+        return self._warmth.share(self.change, self.centre or inf)
+
+    def add(self, value: float, own: float, temperature: float | None = None) -> bool | None:
         """Take in a run with its own standard deviation; returns whether it alarms.
 
-        None while the baseline is made.
+        None while the baseline is made. `temperature`: of the motor, °C; it explains what it can.
         """
         if not self._known and self.baseline < self._needed:
-            self._learn(value, own)
+            self._learn(value, own, temperature)
             return None
+        self._warmth.follow(temperature)
         assert self.centre is not None
         sigma, away = self.sigma(own), value - self.centre
         z = away / sigma if sigma else (0.0 if not away else inf)
@@ -74,10 +83,11 @@ class Chart:
         self.change += WEIGHT * (share - self.change)
         out = abs(self.ewma) > LIMIT
         if not out and not self._known:
-            self._learn(value, own)
-        return out and abs(self.change) >= self._gate
+            self._learn(value, own, temperature)
+        left = self.change - self.explained
+        return out and min(abs(self.change), abs(left)) >= self._gate
 
-    def _learn(self, value: float, own: float) -> None:
+    def _learn(self, value: float, own: float, temperature: float | None) -> None:
         """By Welford's recursion."""
         self.baseline += 1
         before = value if self.centre is None else self.centre
@@ -87,6 +97,46 @@ class Chart:
         if self.baseline > 1:
             all_of_it = self._squares / (self.baseline - 1)
             self.between = sqrt(max(all_of_it - self._own / self.baseline, 0.0))
+        self._warmth.learn(temperature, value)
+
+
+class _Warmth:
+    """What the motor's temperature does to a quantity, by the runs of the baseline.
+
+    Where those are all as warm, it falls by nothing to _STEEPEST a kelvin.
+    """
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._mean = self._value = self._squares = self._products = 0.0
+        self._now: float | None = None
+
+    def learn(self, temperature: float | None, value: float) -> None:
+        """A run of the baseline, °C."""
+        if temperature is None:
+            return
+        self._count += 1
+        before = temperature - self._mean
+        self._mean += before / self._count
+        self._value += (value - self._value) / self._count
+        self._squares += before * (temperature - self._mean)
+        self._products += before * (value - self._value)
+
+    def follow(self, temperature: float | None) -> None:
+        """How warm it is now, in the mean of the chart."""
+        if temperature is not None and self._count:
+            before = self._mean if self._now is None else self._now
+            self._now = before + WEIGHT * (temperature - before)
+
+    def share(self, change: float, centre: float) -> float:
+        """What it explains of a change, both as shares of the centre."""
+        if self._now is None or self._count < 2:
+            return 0.0
+        warmer = self._now - self._mean
+        if sqrt(self._squares / self._count) >= _SPREAD:
+            return self._products / self._squares * warmer / abs(centre)
+        most = -_STEEPEST * warmer
+        return min(max(change, min(most, 0.0)), max(most, 0.0))
 
 
 # -- which runs are compared ----------------------------------------------------------------------
@@ -175,8 +225,8 @@ def drift(
 
 
 def _seen(entry: IndexedRun, quantity: str) -> ValueSeen:
-    found = entry.quantities[quantity]
-    return ValueSeen(entry.run, entry.began, found.value, found.low, found.high)
+    found, warm = entry.quantities[quantity], entry.conditions.motor_temperature
+    return ValueSeen(entry.run, entry.began, found.value, found.low, found.high, warm)
 
 
 def _said(newest: IndexedRun) -> tuple[str, ...]:
@@ -217,7 +267,7 @@ def _own(one: ValueSeen) -> float:
     return 0.0 if one.low is None or one.high is None else (one.high - one.low) / 4
 
 
-def _charted(found: Drift, gate: float) -> Drift:
+def _charted(found: Drift, gate: float) -> Drift | None:
     chart = Chart(gate=gate)
     seen: list[ValueSeen] = []
     first: ValueSeen | None = None
@@ -225,7 +275,7 @@ def _charted(found: Drift, gate: float) -> Drift:
     alarm: bool | None = None
     for number, one in enumerate(found.points):
         before = chart.ewma
-        alarm = chart.add(one.value, _own(one))
+        alarm = chart.add(one.value, _own(one), one.temperature)
         if alarm is None:
             seen.append(one)
             begin = number + 1
@@ -235,7 +285,7 @@ def _charted(found: Drift, gate: float) -> Drift:
         first = (first or one) if alarm else None
         seen.append(replace(one, ewma=chart.ewma))
     if not chart.centre:
-        return found
+        return None
     now = seen[begin:][-_PRESENT:]
     level = fmean(one.value for one in now) - chart.centre
     sigma = chart.sigma(sqrt(fmean(_own(one) ** 2 for one in now)))
@@ -250,6 +300,7 @@ def _charted(found: Drift, gate: float) -> Drift:
         limit=LIMIT,
         change=100 * level / abs(chart.centre),
         change_error=100 * error / abs(chart.centre),
+        explained=100 * chart.explained,
         first_seen=None if first is None else first.began,
         first_run=None if first is None else first.run,
     )

@@ -62,7 +62,8 @@ def _entries(journal: Journal, names: Sequence[str]) -> list[IndexedRun]:
     if not lacking:
         return entries
     if catch_up(lacking):
-        entries, lacking = journal.entries(names)
+        with Journal(journal.folder, reading=True) as again:
+            entries, lacking = again.entries(names)
     without = set(lacking)
     return [said_by_run(journal, one) if one.run in without else one for one in entries]
 
@@ -137,4 +138,7 @@ def rename(journal: Journal, old: str, new: str) -> None:
         raise UnknownName("axis with runs", old, list(known))
     if names_of(old, known, renamed)[0] == new:
         raise UsageError(f"'{old}' is called '{new}' already")
-    journal.rename(old, axis_name(new))
+    try:
+        journal.rename(old, axis_name(new))
+    except ValueError as error:
+        raise UsageError(f"the new name '{new:.100}' {error}") from None

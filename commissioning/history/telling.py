@@ -44,9 +44,13 @@ def drift_words(axis: str, found: Drift) -> str:
             f"{of}: {change} {since}, seen on {day(found.first_seen or 0)}: outside both "
             f"intervals, of {count} run(s){out}; too few for a chart"
         )
+    warm = ""
+    if found.explained is not None and abs(found.explained) >= 1:
+        warm = f"; the temperature explains {found.explained:+.2g} %"
     if found.state == "in control":
-        return f"{of}: in control, {change} {since}, by {count} run(s) under like conditions{out}"
-    return f"{of}: {change} {since}, seen first on {day(found.first_seen or 0)}{out}"
+        like = f"by {count} run(s) under like conditions"
+        return f"{of}: in control, {change} {since}, {like}{out}{warm}"
+    return f"{of}: {change} {since}, seen first on {day(found.first_seen or 0)}{out}{warm}"
 
 
 def _since(found: Drift) -> str:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
+from commissioning.result.document import RunResult
 from commissioning.result.experiment import Conditions
 from commissioning.result.found import Quantity
 
@@ -20,6 +21,8 @@ __all__ = [
     "Note",
     "Story",
     "ValueSeen",
+    "conditions_of",
+    "numbers_of",
 ]
 
 HISTORY_SCHEMA: Final = "tworelay.history/1"
@@ -61,6 +64,18 @@ class IndexedRun:
         return self.verdict in ("good", "usable") and bool(self.quantities)
 
 
+def numbers_of(result: RunResult) -> dict[str, Quantity]:
+    """What a run measured, by name, as the index keeps it."""
+    found = ((name, getattr(result.friction, name)) for name in INDEXED)
+    return {name: replace(q, raw=None, raw_unit=None) for name, q in found if q is not None}
+
+
+def conditions_of(result: RunResult) -> Conditions:
+    """Under which conditions; of an older version, as far as it tells."""
+    cycle = result.experiment.cycle if result.experiment else None
+    return result.conditions or Conditions(cycle=cycle)
+
+
 @dataclass(frozen=True, slots=True)
 class Note:
     """What was done to an axis; the runs behind it are compared with each other only.
@@ -95,6 +110,7 @@ class ValueSeen:
 
     Attributes
     ----------
+    temperature : of the motor, °C
     ewma : of the standardised deviation; None before there is a baseline
     """
 
@@ -103,6 +119,7 @@ class ValueSeen:
     value: float
     low: float | None
     high: float | None
+    temperature: float | None = None
     ewma: float | None = None
 
 
@@ -121,6 +138,7 @@ class Drift:
     sigma : standard deviation of one run about it, SI
     limit : of |ewma|
     change, change_error : of the level now against the centre, and half of its 95 % interval, %
+    explained : what the motor's temperature explains of the change, %
     since, since_text : what began the baseline: s since 1970, and in words
     first_seen, first_run : of the alarm
     said : what cannot be told apart for want of knowledge
@@ -137,6 +155,7 @@ class Drift:
     limit: float | None = None
     change: float | None = None
     change_error: float | None = None
+    explained: float | None = None
     since: float | None = None
     since_text: str = ""
     first_seen: float | None = None

@@ -7,7 +7,7 @@ it is known here is what the run is applied, verified and restored by.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,12 +19,12 @@ from commissioning.session.named import axis_of_run
 from drivers.link import check_files_of_others
 from profiles.axis import Axis
 from profiles.commands import commands_of
-from profiles.errors import ProfileError, Refused, UnknownName, UsageError
+from profiles.errors import ProfileError, Refused, TwoRelayError, UnknownName, UsageError
 from profiles.library import load_profile, source_text
 from profiles.parameter import Protection
 from profiles.schema import Profile
 
-__all__ = ["Adopted", "adopt"]
+__all__ = ["Adopted", "AdoptedAll", "adopt", "adopt_all", "exported_in"]
 
 _SHOWN = 5  # of what differs
 _ID = re.compile(r"[0-9]{8}-[0-9]{6}-[A-Za-z0-9][A-Za-z0-9._-]{0,100}")
@@ -114,6 +114,54 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
     )
     target.save(replace(result, run=here, written=()), samples, source_text(name))
     return desk.journal.adopt(replace(history, run=replace(record, id=here)))
+
+
+@dataclass(frozen=True, slots=True)
+class AdoptedAll:
+    """What became of several runs; `error`: of the first that was not taken in."""
+
+    taken_in: int
+    known: int
+    refused: tuple[str, ...]
+    error: TwoRelayError | None
+
+
+def exported_in(folder: Path) -> list[Path]:
+    """Folders of exported runs in a folder that is none itself, in the order of their ids."""
+    if (folder / "run.json").exists() or not folder.is_dir():
+        return []
+    return sorted(path.parent for path in folder.glob("*/run.json"))
+
+
+def adopt_all(
+    paths: Sequence[Path], profile: str | None, desk: Desk, told: Callable[[int], None]
+) -> AdoptedAll:
+    """Take in several runs, asked for once; one that cannot be ends nothing.
+
+    `told` : each run, 1
+    """
+    desk.agree(
+        f"{len(paths)} runs of another computer will be TAKEN IN: 'apply', 'verify' and 'restore' "
+        "then write to the drives of their axes by them.",
+        "all",
+        "none was taken in",
+    )
+    agreed = replace(desk, confirm=lambda question, word: True, tell=lambda line: None)
+    taken_in = known = 0
+    refused: list[str] = []
+    first: TwoRelayError | None = None
+    for path in paths:
+        before = desk.journal.last_number()
+        try:
+            adopt(path, profile, agreed, lambda found: None)
+        except TwoRelayError as error:
+            refused.append(str(error))
+            first = first or error
+        else:
+            new = desk.journal.last_number() > before
+            taken_in, known = taken_in + new, known + (not new)
+        told(1)
+    return AdoptedAll(taken_in, known, tuple(refused), first)
 
 
 def _known_here(profile: str | None, result: RunResult, path: Path) -> tuple[str, Profile]:

@@ -1,0 +1,56 @@
+"""Which runs are of which axis."""
+
+from __future__ import annotations
+
+from commissioning.history.axes import chosen, groups, in_order, names_of, of_names
+from tests.history.made import DAY, MARCH_3, run
+
+
+def test_an_axis_keeps_its_runs_under_all_its_names() -> None:
+    renamed = {"a": ("b", 5), "b": ("c", 9)}
+    known = {"a": 4, "b": 8}
+    assert names_of("a", known, renamed) == ["c", "b", "a"]
+    assert names_of("c", known, renamed) == ["c", "b", "a"]
+    assert names_of("z", known, renamed) == ["z"]
+
+
+def test_a_name_that_is_given_again_is_another_axis() -> None:
+    renamed = {"a": ("b", 5)}
+    known = {"a": 7, "b": 6}
+    assert names_of("a", known, renamed) == ["a"]
+    entries = [run(n, 0.1, axis="a") for n in (3, 4, 7)] + [run(6, 0.1, axis="b")]
+    assert [one.number for one in of_names(entries, ["b", "a"], renamed)] == [3, 4, 6]
+    assert [one.number for one in of_names(entries, ["a"], renamed)] == [7]
+
+
+def test_names_that_go_round_end() -> None:
+    assert names_of("a", {}, {"a": ("b", 1), "b": ("a", 2)}) == ["b", "a"]
+
+
+def test_two_computers_with_one_axis_name_have_two_axes() -> None:
+    ours = [run(n, 0.1) for n in (1, 2)]
+    theirs = [run(3, 0.2, serial="0x9", adopted=True, host="pc-b")]
+    found = groups([*ours, *theirs], "here")
+    assert [len(one.entries) for one in found] == [2, 1]
+    assert chosen(found, None).is_ours
+    assert chosen(found, "pc-b").entries == tuple(theirs)
+    assert chosen(found, "pc-c") is None
+
+
+def test_one_drive_is_one_axis_whoever_measured_it() -> None:
+    ours, theirs = [run(1, 0.1)], [run(2, 0.1, adopted=True, host="pc-b")]
+    (found,) = groups([*ours, *theirs], "here")
+    assert found.is_ours
+    assert found.hosts == {"pc-b"}
+
+
+def test_drives_that_tell_no_serial_number_are_not_the_same() -> None:
+    theirs = [run(2, 0.1, serial="0x00000000", adopted=True, host="pc-b")]
+    assert len(groups([run(1, 0.1, serial="0x00000000"), *theirs], "here")) == 2
+
+
+def test_runs_taken_in_stand_where_their_date_is_and_ours_where_they_came() -> None:
+    a, b = run(1, 0.1, began=MARCH_3 + 9 * DAY), run(2, 0.1, began=MARCH_3)  # a clock set back
+    old = run(3, 0.1, began=MARCH_3 + DAY, adopted=True)
+    new = run(4, 0.1, began=MARCH_3 + 10 * DAY, adopted=True)
+    assert [one.number for one in in_order([a, b, old, new])] == [3, 1, 2, 4]

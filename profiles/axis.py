@@ -16,7 +16,7 @@ from profiles.errors import ProfileError
 from profiles.strict import Strict
 from profiles.toml_files import load_model
 
-__all__ = ["Axis", "AxisLimits", "Mechanics", "axis_name", "load_axis"]
+__all__ = ["Axis", "AxisLimits", "Mechanics", "axis_name", "axis_text", "load_axis"]
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -140,3 +140,10 @@ def load_axis(path: Path) -> Axis:
             f"{path}: the file's name is the axis' name, which {error}; give another in the file: "
             'name = "…"'
         ) from None
+
+
+def axis_text(axis: Axis) -> str:
+    """An axis as the text of its file."""
+    import tomlkit
+
+    return tomlkit.dumps(axis.model_dump(mode="json", exclude_none=True, exclude_defaults=True))

@@ -17,7 +17,7 @@ from profiles.errors import UsageError
 if TYPE_CHECKING:
     from drivers.link_text import Link
     from drivers.virtual.axes import VirtualAxis
-    from drivers.virtual.served import ServedDrive
+    from drivers.virtual.served import Endpoints, ServedDrive
     from profiles.schema import Profile
 
 __all__ = ["command"]
@@ -64,7 +64,21 @@ def list_axes(habits: bool, as_json: bool) -> None:
 
 
 @command.command("serve")
-@click.argument("axes", nargs=-1, required=True, metavar="AXIS...")
+@click.argument("axes", nargs=-1, metavar="AXIS...")
+@click.option(
+    "--from",
+    "runs",
+    multiple=True,
+    metavar="RUN",
+    help="The twin of the axis that RUN measured, at its motor; --set is for what it does not "
+    "tell.",
+)
+@click.option(
+    "--axis-file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="With --from: write the twin's axis file to F, to commission it.",
+    metavar="F",
+)
 @click.option(
     "--set",
     "changes",
@@ -96,6 +110,8 @@ def list_axes(habits: bool, as_json: bool) -> None:
 @verbose
 def serve_axes(
     axes: tuple[str, ...],
+    runs: tuple[str, ...],
+    axis_file: Path | None,
     changes: tuple[str, ...],
     modbus_tcp: str | None,
     modbus_rtu: str | None,
@@ -127,6 +143,11 @@ def serve_axes(
         socketcand=_place(socketcand),
         slcan_pty=slcan == "pty",
     )
+    if runs or not axes:
+        _no_axes(axes, runs, profile)
+        sys.exit(128 + _serve_runs(runs, changes, endpoints, clock, state, axis_file, habits))
+    if axis_file is not None:
+        raise UsageError("--axis-file belongs to --from: a virtual axis needs none")
     links = [_link(axis, changes) for axis in axes]
     named = [link.options.get("habit", "").split(",") for link in links]
     found = habits_of(filter(None, (*(name for each in named for name in each), *habits)))
@@ -168,6 +189,84 @@ def _serve_fleet(path: Path, clock: Literal["wall", "step"], state: Path | None)
         if not twins.buses:
             raise UsageError(f"{path}: all its axes are virtual:// already")
         return serve(twins.buses, clock, say)
+
+
+def _no_axes(axes: tuple[str, ...], runs: tuple[str, ...], profile: str | None) -> None:
+    if not runs:
+        raise UsageError(
+            "which? Give an AXIS ('tworelay virtual list'), a FLEET.toml, or --from RUN"
+        )
+    if axes:
+        raise UsageError(f"--from RUN and {axes[0]}: serve them from two commands")
+    if profile is not None:
+        raise UsageError("--from RUN has the profile of the run: leave --profile out")
+
+
+def _serve_runs(
+    runs: tuple[str, ...],
+    changes: tuple[str, ...],
+    endpoints: Endpoints,
+    clock: Literal["wall", "step"],
+    state: Path | None,
+    axis_file: Path | None,
+    habits: tuple[str, ...],
+) -> int:
+    """Twins of the axes that runs measured, on one bus; a LINK a line."""
+    from commissioning.journal import Journal
+    from commissioning.session.twin import measured_twin
+    from drivers.home import home
+    from drivers.virtual.habits import habits_of
+    from drivers.virtual.serve import serve
+    from drivers.virtual.served import BusOfDrives, endpoints_like
+    from profiles.axis import axis_text
+
+    if len(runs) > 1 and (state or axis_file):
+        raise UsageError(f"{state or axis_file}: {len(runs)} drives do not go into one file")
+    given = _given(changes)
+    with Journal(home(), reading=True) as journal:
+        twins = [measured_twin(journal, run, given, _asked) for run in runs]
+    if not (endpoints.is_modbus or endpoints.is_canopen):
+        endpoints = endpoints_like(twins[0].link, twins[0].profile)
+    key = "unit" if endpoints.is_modbus else "node"
+    drives = _told_apart((one.served(n, state) for n, one in enumerate(twins)), key)
+    for one in twins:
+        for line in one.said:
+            say(f"{one.axis.name}: {line}", err=True)
+    left = [twins[0]] if axis_file else []
+
+    def told(link: str) -> None:
+        if axis_file is not None and left:
+            _write_axis(axis_file, axis_text(left.pop().file.model_copy(update={"link": link})))
+        say(link)
+
+    bent = habits_of(habits).for_bus("modbus" if endpoints.is_modbus else "canopen")
+    return serve([BusOfDrives(drives, endpoints, bent)], clock, told)
+
+
+def _write_axis(path: Path, text: str) -> None:
+    from profiles.files import replace
+
+    try:
+        replace(path, text.encode())
+    except OSError as error:
+        raise UsageError(f"--axis-file {path}: cannot be written: {error.strerror}") from None
+
+
+def _given(changes: tuple[str, ...]) -> dict[str, str]:
+    """K=V as options; raises UsageError."""
+    pairs = [change.partition("=") for change in changes]
+    for key, _, value in pairs:
+        if not key or not value:
+            raise UsageError(f"--set {key}: must be NAME=VALUE, as in --set inertia=0.001")
+    return {key: value for key, _, value in pairs}
+
+
+def _asked(what: str, unit: str) -> float | None:
+    """What a run does not tell, of whoever is at the terminal."""
+    if not sys.stdin.isatty():
+        return None
+    answer: float = click.prompt(f"{what} in {unit}, at the motor", type=float, err=True)
+    return answer
 
 
 def _link(axis: str, changes: tuple[str, ...]) -> Link:

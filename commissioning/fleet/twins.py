@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from commissioning.fleet.plan import Fleet, PlannedAxis
-from drivers.link_text import Link, parse
+from drivers.link_text import parse
 from drivers.virtual.axes import VirtualAxis, configured
 from drivers.virtual.memory import Memory
-from drivers.virtual.served import FIRST_NODE, BusOfDrives, Endpoints, ServedDrive
+from drivers.virtual.served import FIRST_NODE, BusOfDrives, ServedDrive, endpoints_like
 from profiles.errors import UsageError
 from profiles.library import load_profile
 from profiles.transports import transport_of
 
 __all__ = ["Twins", "on_twins", "twins_of"]
 
-_ANY = ("127.0.0.1", 0)
 _HEAVY = 0.1, 2e-3, 1e-3  # Coulomb and viscous friction, inertia, of the rated torque
 
 
@@ -44,23 +42,9 @@ def twins_of(fleet: Fleet, folder: Path) -> Twins:
     buses, names = [], []
     for axes in by_bus.values():
         drives = [_twin(one, fleet.axes.index(one), folder) for one in axes]
-        buses.append(BusOfDrives(drives, _endpoints(parse(axes[0].link))))
+        buses.append(BusOfDrives(drives, endpoints_like(parse(axes[0].link))))
         names += [one.name for one in axes]
     return Twins(buses, names)
-
-
-def _endpoints(link: Link) -> Endpoints:
-    """The same kind of wire, where this computer has it."""
-    has_terminals = os.name != "nt"
-    if link.scheme == "canopen":
-        if link.interface == "slcan" and has_terminals:
-            return Endpoints(slcan_pty=True)
-        return Endpoints(socketcand=_ANY)
-    if link.scheme == "modbus-rtu" and has_terminals:
-        return Endpoints(modbus_rtu_pty=True)
-    if link.scheme in ("modbus-rtu", "modbus-rtu-tcp"):
-        return Endpoints(modbus_rtu_tcp=_ANY)
-    return Endpoints(modbus_tcp=_ANY)
 
 
 def _twin(one: PlannedAxis, number: int, folder: Path) -> ServedDrive:

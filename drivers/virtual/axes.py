@@ -288,7 +288,7 @@ def configured(name: str, options: dict[str, str], memory: str | Path | None = N
         axis.build()
     except ValueError as error:
         raise UsageError(f"virtual axis '{name}': {error}") from None
-    if axis.held_by < axis.coulomb:
+    if axis.held_by < axis.coulomb and not axis.stribeck:
         raise UsageError(
             f"virtual axis '{name}': breakaway is {axis.held_by:g}: must be at least coulomb, "
             f"{axis.coulomb:g}"

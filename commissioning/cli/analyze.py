@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from commissioning.cli.junit import junit_option
 from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Finite, Screen, at_desk, axis_from, check_json, write_json
 from commissioning.result.readings import MethodName
@@ -53,6 +54,7 @@ __all__ = ["command"]
     help="With --for: share of the friction to compensate; the offset is compensated whole.",
 )  # fmt: skip
 @verbose
+@junit_option("analyze")
 def command(
     files: tuple[Path, ...],
     time: str | None,

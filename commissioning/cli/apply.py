@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from commissioning.cli.junit import junit_option
 from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Screen, act_on, at_desk, check_json, write_json
 
@@ -28,6 +29,7 @@ __all__ = ["command", "write"]
     "--json", "json_target", metavar="F", help="Result as JSON to F, '-' for standard output."
 )
 @verbose
+@junit_option("apply")
 def command(
     run: str, link: str | None, gains: str | None, yes: bool, json_target: str | None
 ) -> None:

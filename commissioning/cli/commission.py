@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from commissioning.cli.junit import junit_option
 from commissioning.cli.terminal import (
     Job,
     Screen,
@@ -25,6 +26,7 @@ __all__ = ["command"]
 @click.command("commission")
 @click.argument("target")
 @job_options
+@junit_option("commission")
 def command(target: str, job: Job) -> None:
     """Identify the axis at TARGET, apply the compensation, prove that it helps, write the report.
 

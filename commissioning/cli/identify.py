@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from commissioning.cli.junit import junit_option
 from commissioning.cli.terminal import (
     Job,
     Screen,
@@ -26,6 +27,7 @@ __all__ = ["command", "measure"]
 @click.command("identify")
 @click.argument("target")
 @job_options
+@junit_option("identify")
 def command(target: str, job: Job) -> None:
     """Measure the friction of the axis at TARGET; change nothing for good."""
     from commissioning.cli import show

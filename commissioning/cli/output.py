@@ -19,7 +19,9 @@ import click
 
 from profiles.plain import plain, plain_lines
 
-__all__ = ["document", "giving_up", "json_text", "say", "written"]
+RESULT, GROUP = "tworelay.result", "tworelay.group"  # what a command has come to, in its context
+
+__all__ = ["GROUP", "RESULT", "document", "giving_up", "json_text", "say", "written"]
 
 
 def say(text: str = "", *, err: bool = False) -> None:

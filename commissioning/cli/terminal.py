@@ -317,6 +317,7 @@ class Job:
     def axis(self, target: str) -> Axis:
         """TARGET with what is asked of it; raises UsageError."""
         axis = axis_from(target, self.profile)
+        click.get_current_context().meta[output.GROUP] = axis.group
         if self.watchdog is None:
             return axis
         limits = axis.limits.model_copy(update={"watchdog": self.watchdog})
@@ -387,6 +388,7 @@ def write_json(result: RunResult, target: str | None) -> None:
 
     Where it cannot be written, the job is no less done.
     """
+    click.get_current_context().meta[output.RESULT] = result
     if target is None:
         return
     from commissioning.result.codec import text_of

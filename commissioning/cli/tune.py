@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import click
 
+from commissioning.cli.junit import junit_option
 from commissioning.cli.terminal import (
     Finite,
     Job,
@@ -33,6 +34,7 @@ __all__ = ["command"]
 )  # fmt: skip
 @job_options
 @click.pass_context
+@junit_option("tune")
 def command(
     context: click.Context,
     /,
@@ -80,7 +82,7 @@ def command(
     show.ending(result, screen)
 
 
-_OF_A_RUN = {"target", "drive_dead_time", "drive_period", "json_target", "yes", "verbose"}
+_OF_A_RUN = {"target", "drive_dead_time", "drive_period", "json_target", "junit", "yes", "verbose"}
 
 
 def _only_for_targets(context: click.Context) -> None:

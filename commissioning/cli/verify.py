@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from commissioning.cli.junit import junit_option
 from commissioning.cli.options import verbose
 from commissioning.cli.terminal import (
     Finite,
@@ -38,6 +39,7 @@ __all__ = ["command", "prove"]
     "--json", "json_target", metavar="F", help="Result as JSON to F, '-' for standard output."
 )
 @verbose
+@junit_option("verify")
 def command(
     run: str,
     link: str | None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -74,6 +74,10 @@ def list_axes(habits: bool, as_json: bool) -> None:
     "tell.",
 )
 @click.option(
+    "--ready", type=click.Path(dir_okay=False, path_type=Path), metavar="F",
+    help="Write names and links to F as JSON once all are ready, for the program that waits.",
+)  # fmt: skip
+@click.option(
     "--axis-file",
     type=click.Path(dir_okay=False, path_type=Path),
     help="With --from: write the twin's axis file to F, to commission it.",
@@ -111,6 +115,7 @@ def list_axes(habits: bool, as_json: bool) -> None:
 def serve_axes(
     axes: tuple[str, ...],
     runs: tuple[str, ...],
+    ready: Path | None,
     axis_file: Path | None,
     changes: tuple[str, ...],
     modbus_tcp: str | None,
@@ -135,7 +140,7 @@ def serve_axes(
     from profiles.library import load_profile
 
     if len(axes) == 1 and axes[0].endswith(".toml"):
-        sys.exit(128 + _serve_fleet(Path(axes[0]), clock, state))
+        sys.exit(128 + _serve_fleet(Path(axes[0]), clock, state, ready))
     endpoints = Endpoints(
         modbus_tcp=_place(modbus_tcp),
         modbus_rtu_tcp=_place(modbus_rtu_tcp),
@@ -145,7 +150,8 @@ def serve_axes(
     )
     if runs or not axes:
         _no_axes(axes, runs, profile)
-        sys.exit(128 + _serve_runs(runs, changes, endpoints, clock, state, axis_file, habits))
+        ending = _serve_runs(runs, changes, endpoints, clock, state, axis_file, habits, ready)
+        sys.exit(128 + ending)
     if axis_file is not None:
         raise UsageError("--axis-file belongs to --from: a virtual axis needs none")
     links = [_link(axis, changes) for axis in axes]
@@ -171,10 +177,28 @@ def serve_axes(
         )
     key = "unit" if endpoints.is_modbus else "node"
     drives = _told_apart((_served(link, n, state, twin_of) for n, link in enumerate(links)), key)
-    sys.exit(128 + serve([BusOfDrives(drives, endpoints, found)], clock, say))
+    told = _Ready(ready, axes)
+    sys.exit(128 + serve([BusOfDrives(drives, endpoints, found)], clock, told))
 
 
-def _serve_fleet(path: Path, clock: Literal["wall", "step"], state: Path | None) -> int:
+class _Ready:
+    """Says each LINK, and leaves names and links in a file once each drive has one."""
+
+    def __init__(self, path: Path | None, names: Sequence[str]) -> None:
+        self._path, self._names = path, names
+        self._links: dict[int, list[str]] = {}
+
+    def __call__(self, number: int, link: str) -> None:
+        say(link)
+        self._links.setdefault(number, []).append(link)
+        if self._path is not None and len(self._links) == len(self._names):
+            named = zip(self._names, (self._links[n] for n in sorted(self._links)), strict=True)
+            _write(self._path, json_text([{"name": n, "links": found} for n, found in named]))
+
+
+def _serve_fleet(
+    path: Path, clock: Literal["wall", "step"], state: Path | None, ready: Path | None
+) -> int:
     """Twins of all axes of a fleet file, on wires like those of the file; a LINK a line."""
     import tempfile
 
@@ -188,7 +212,7 @@ def _serve_fleet(path: Path, clock: Literal["wall", "step"], state: Path | None)
         twins = twins_of(load_fleet(path), Path(folder))
         if not twins.buses:
             raise UsageError(f"{path}: all its axes are virtual:// already")
-        return serve(twins.buses, clock, say)
+        return serve(twins.buses, clock, _Ready(ready, twins.names))
 
 
 def _no_axes(axes: tuple[str, ...], runs: tuple[str, ...], profile: str | None) -> None:
@@ -210,6 +234,7 @@ def _serve_runs(
     state: Path | None,
     axis_file: Path | None,
     habits: tuple[str, ...],
+    ready: Path | None,
 ) -> int:
     """Twins of the axes that runs measured, on one bus; a LINK a line."""
     from commissioning.journal import Journal
@@ -233,23 +258,24 @@ def _serve_runs(
         for line in one.said:
             say(f"{one.axis.name}: {line}", err=True)
     left = [twins[0]] if axis_file else []
+    is_ready = _Ready(ready, [one.axis.name for one in twins])
 
-    def told(link: str) -> None:
+    def told(number: int, link: str) -> None:
         if axis_file is not None and left:
-            _write_axis(axis_file, axis_text(left.pop().file.model_copy(update={"link": link})))
-        say(link)
+            _write(axis_file, axis_text(left.pop().file.model_copy(update={"link": link})))
+        is_ready(number, link)
 
     bent = habits_of(habits).for_bus("modbus" if endpoints.is_modbus else "canopen")
     return serve([BusOfDrives(drives, endpoints, bent)], clock, told)
 
 
-def _write_axis(path: Path, text: str) -> None:
+def _write(path: Path, text: str) -> None:
     from profiles.files import replace
 
     try:
         replace(path, text.encode())
     except OSError as error:
-        raise UsageError(f"--axis-file {path}: cannot be written: {error.strerror}") from None
+        raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def _given(changes: tuple[str, ...]) -> dict[str, str]:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterator
+from typing import Literal
 
 from commissioning.result.fleet import FleetAxis, FleetResult, JobState, Outcome
-from commissioning.result.words import number
+from commissioning.result.junit import Case, Number, junit_text, spread
 from profiles.plain import plain
 
-__all__ = ["csv_text", "junit_text", "numbers"]
+__all__ = ["csv_text", "junit_of", "numbers"]
 
 _FAILURES = JobState.FAULT, JobState.REJECTED, JobState.NOT_HELPED
 _ERRORS = (
@@ -23,63 +24,40 @@ _COLUMNS = (
 _QUANTITIES = "coulomb", "offset", "viscous", "inertia"
 
 
-def numbers(outcome: Outcome | None) -> Iterator[tuple[str, float, str]]:
+def numbers(outcome: Outcome | None) -> Iterator[Number]:
     """What was measured: name, value, unit."""
     if outcome is None:
         return
     for name in _QUANTITIES:
-        found = getattr(outcome, name)
-        if found is None:
-            continue
-        yield name, found.value, found.unit
-        for end in ("low", "high"):
-            if (value := getattr(found, end)) is not None:
-                yield f"{name}_{end}", value, found.unit
+        if (found := getattr(outcome, name)) is not None:
+            yield from spread(name, found)
     if outcome.percent is not None:
         yield "less_error", outcome.percent, "%"
 
 
-def junit_text(result: FleetResult) -> str:
-    """JUnit XML; not done is a failure, not reached is skipped, the rest is an error."""
-    from junitparser import (
-        Error,
-        Failure,
-        JUnitXml,
-        Properties,
-        Property,
-        Skipped,
-        TestCase,
-        TestSuite,
-    )
+def junit_of(result: FleetResult) -> str:
+    """JUnit XML of a fleet run, a case an axis."""
+    return junit_text(result.name, [_case(result, one) for one in result.axes])
 
-    suite = TestSuite(plain(result.name))
-    for one in result.axes:
-        outcome = one.outcome
-        where = plain(f"{result.name}.{one.group}" if one.group else result.name)
-        seconds = outcome.seconds if outcome else 0.0
-        case = TestCase(plain(f"{one.name}: {result.job}"), where, seconds)
-        why = plain(one.why or str(one.state))
-        if one.state in _FAILURES:
-            case.result = [Failure(why, str(one.state))]
-        elif one.state in _ERRORS:
-            case.result = [Error(why, str(one.state))]
-        elif one.state is not JobState.DONE:
-            case.result = [Skipped(why)]
-        found = list(numbers(outcome))
-        if found:
-            properties = Properties()
-            for name, value, unit in found:
-                properties.add_property(Property(f"{name} [{unit}]", f"{value:.6g}"))
-            case.append(properties)
-        lines = [f"{name} {number(value, unit)}" for name, value, unit in found]
-        lines += [outcome.ending] if outcome and outcome.ending else []
-        case.system_out = plain("; ".join([str(one.state), *lines]))
-        suite.add_testcase(case)
-    tree = JUnitXml("tworelay")
-    tree.add_testsuite(suite)
-    tree.update_statistics()
-    text: str = tree.tostring().decode()
-    return f"<?xml version='1.0' encoding='utf-8'?>\n{text}\n"
+
+def _case(result: FleetResult, one: FleetAxis) -> Case:
+    outcome = one.outcome
+    kind: Literal["passed", "failure", "error", "skipped"] = "skipped"
+    if one.state is JobState.DONE:
+        kind = "passed"
+    elif one.state in (*_FAILURES, *_ERRORS):
+        kind = "failure" if one.state in _FAILURES else "error"
+    ending = [outcome.ending] if outcome and outcome.ending else []
+    return Case(
+        f"{one.name}: {result.job}",
+        f"{result.name}.{one.group}" if one.group else result.name,
+        kind,
+        outcome.seconds if outcome else 0.0,
+        str(one.state),
+        one.why or str(one.state),
+        tuple(numbers(outcome)),
+        (str(one.state), *ending),
+    )
 
 
 def csv_text(result: FleetResult) -> str:

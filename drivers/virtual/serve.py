@@ -28,7 +28,10 @@ _POLL = 0.002  # s: how often timers of the drives run while nobody talks to the
 _IDLE = 0.1  # s, where none runs by itself
 
 
-def serve(buses: Sequence[BusOfDrives], kind: ClockKind, announce: Callable[[str], None]) -> int:
+Announce = Callable[[int, str], None]  # number of a drive, from 0 over all buses, and a LINK to it
+
+
+def serve(buses: Sequence[BusOfDrives], kind: ClockKind, announce: Announce) -> int:
     """Serve until SIGINT or SIGTERM, and return which; `announce` gets one ready LINK at a time.
 
     In real time it has the loop's kind of priority, one below, where that is permitted.
@@ -41,9 +44,7 @@ def serve(buses: Sequence[BusOfDrives], kind: ClockKind, announce: Callable[[str
         return int(signal.SIGINT)
 
 
-async def _serve(
-    buses: Sequence[BusOfDrives], kind: ClockKind, announce: Callable[[str], None]
-) -> int:
+async def _serve(buses: Sequence[BusOfDrives], kind: ClockKind, announce: Announce) -> int:
     end = asyncio.Event()
     loop = asyncio.get_running_loop()
     received = int(signal.SIGINT)
@@ -60,8 +61,9 @@ async def _serve(
             loop.add_signal_handler(number, stop, int(number))
     async with contextlib.AsyncExitStack() as stack:
         served = [await _opened(bus, kind, stack) for bus in buses]
-        for link in (link for one in served for links in one.links for link in links):
-            announce(link)
+        for drive, links in enumerate(links for one in served for links in one.links):
+            for link in links:
+                announce(drive, link)
         has_timers = kind == "wall" or any(bus.habits.values for bus in buses)
         while not end.is_set():
             for one in served:

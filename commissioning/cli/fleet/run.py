@@ -146,12 +146,12 @@ def write_outputs(
     result: FleetResult, junit: str | None, json_target: str | None, csv_target: str | None
 ) -> None:
     """What other programs read; a file that cannot be written is told, and ends nothing."""
-    from commissioning.fleet.outputs import csv_text, junit_text
+    from commissioning.fleet.outputs import csv_text, junit_of
     from commissioning.result.fleet_codec import fleet_text
 
     for option, target, text in (
         ("--json", json_target, fleet_text),
-        ("--junit", junit, junit_text),
+        ("--junit", junit, junit_of),
         ("--csv", csv_target, csv_text),
     ):
         if target == "-":

@@ -1,0 +1,75 @@
+"""--junit of single acts, as CI reads it."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import Tworelay
+
+ACTS = {
+    "identify": (("identify", "virtual://bench"), 0, None),
+    "rejected": (("identify", "virtual://bench?coulomb=2.5"), 6, "failure"),
+    "refused": (("identify", "virtual://bench", "--travel", "1e-6"), 3, "error"),
+    "unreachable": (("identify", "modbus-tcp://127.0.0.1:9"), 4, "error"),
+    "usage": (("identify", "bench"), 2, "error"),
+    "no such run": (("apply", "nosuch"), 2, "error"),
+}
+
+
+def case_of(path: Path) -> ET.Element:
+    (case,) = ET.parse(path).getroot().iter("testcase")
+    return case
+
+
+@pytest.mark.parametrize("name", ACTS)
+def test_what_became_of_an_act(name: str, tworelay: Tworelay, tmp_path: Path) -> None:
+    words, code, kind = ACTS[name]
+    file = tmp_path / "act.xml"
+    done = tworelay(*words, "--yes", "--junit", str(file))
+    assert done.returncode == code, done.stderr
+    case = case_of(file)
+    assert case.get("classname") == "tworelay"
+    assert [child.tag for child in case if child.tag in ("failure", "error", "skipped")] == (
+        [kind] if kind else []
+    )
+    if kind:
+        message = next(child for child in case if child.tag == kind).get("message")
+        assert message is not None
+        assert done.stderr.strip().endswith(message.strip())
+    else:
+        numbers = {p.get("name"): float(p.get("value") or 0) for p in case.iter("property")}
+        assert numbers["coulomb [N.m]"] == pytest.approx(0.1, rel=0.01)
+        assert numbers["coulomb_low [N.m]"] < 0.1 < numbers["coulomb_high [N.m]"]
+        said = case.findtext("system-out") or ""
+        assert "coulomb 0.1 N.m" in said
+        assert "axis at rest and off" in said
+        assert case.get("name") == "bench: identify"
+
+
+def test_each_act_on_a_run_has_one(tworelay: Tworelay, tmp_path: Path) -> None:
+    axis = tmp_path / "press.toml"
+    axis.write_text('link = "virtual://bench"\nprofile = "virtual-modbus"\ntravel = 3\ngroup = "g"')
+    for words in (
+        ("commission", str(axis), "--yes"), ("tune", "last"), ("apply", "last", "--yes"),
+        ("verify", "last", "--yes"),
+    ):  # fmt: skip
+        file = tmp_path / f"{words[0]}.xml"
+        done = tworelay(*words, "--junit", str(file))
+        case = case_of(file)
+        assert case.get("name") == f"press: {words[0]}", done.stderr
+        assert done.returncode == 0, done.stderr
+        assert not case.findall("error")
+    commissioned = case_of(tmp_path / "commission.xml")
+    assert commissioned.get("classname") == "tworelay.g"
+    names = {p.get("name") for p in commissioned.iter("property")}
+    assert "less_error [%]" in names
+
+
+def test_a_file_that_cannot_be_written_is_seen_before(tworelay: Tworelay, tmp_path: Path) -> None:
+    done = tworelay("identify", "virtual://bench", "--yes", "--junit", str(tmp_path / "a" / "b"))
+    assert done.returncode == 2
+    assert "--junit" in done.stderr
+    assert not (tmp_path / "home" / "runs").exists()

@@ -8,7 +8,7 @@ CASES ?= 12000
 AXES ?= 2000
 PART ?= 1/1
 
-.PHONY: demo demo-fleet test check coverage mutants mutants-afresh platforms bench fuzz faults faults-long habits kills machine-faults fleet-faults limits format lint types imports lock clean
+.PHONY: demo demo-fleet test check coverage mutants mutants-afresh platforms bench fuzz faults faults-long habits kills machine-faults fleet-faults twins limits format lint types imports lock clean
 
 demo: $(STAMP)
 	$(BIN)/tworelay demo
@@ -85,6 +85,10 @@ fleet-faults: $(STAMP)
 # the machine itself fails in every phase, in simulated time; ends with "machine faults: N cases, M held"
 machine-faults: $(STAMP)
 	$(BIN)/python -m tests.faults.machine
+
+# 40 random axes of ten kinds are measured, and their twins again; ends with "twins: N axes, M held"
+twins: $(STAMP)
+	$(BIN)/python -m tests.twins.campaign
 
 # random axes and settings in simulated time; ends with "limits: N axes, M held"
 limits: $(STAMP)

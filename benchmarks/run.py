@@ -18,7 +18,9 @@ sys.path.insert(0, str(HERE.parent))
 
 from benchmarks.accuracy import accuracy  # noqa: E402
 from benchmarks.critical_point import critical_point  # noqa: E402
+from benchmarks.drift import drift  # noqa: E402
 from benchmarks.fleet import fleet  # noqa: E402
+from benchmarks.history import history  # noqa: E402
 from benchmarks.links import WIRES, links, served  # noqa: E402
 from benchmarks.stop_times import stop_times  # noqa: E402
 from benchmarks.units import units  # noqa: E402
@@ -177,7 +179,8 @@ def main() -> None:
         os.environ["TWORELAY_HOME"] = folder
         tables: dict[str, Callable[[], list[str]]] = {
             "wires": wires, "speed": speed, "links": links, "critical_point": critical_point, "units": units,
-            "stop_times": stop_times, "fleet": fleet,
+            "stop_times": stop_times, "fleet": fleet, "history": history,
+            "drift": drift,
             "accuracy": lambda: accuracy(int(os.environ.get("AXES", "2000"))),
         }  # fmt: skip
         for name in sys.argv[1:] or tables:

@@ -78,6 +78,17 @@ class Index(OpenJournal):
             ).fetchall()
         return {str(axis): int(last) for axis, last in rows}
 
+    def last_measured(self, axis: str, serial: str | None) -> str | None:
+        """The last run of this computer that measured an axis; on the drive `serial`, if given."""
+        with self._errors():
+            row = self._db.execute(
+                "SELECT own.id FROM own JOIN indexed ON indexed.run = own.id WHERE axis=? AND "
+                "(? IS NULL OR serial=?) AND verdict IN ('good', 'usable') "
+                "ORDER BY number DESC LIMIT 1",
+                (axis, serial, serial),
+            ).fetchone()
+        return None if row is None else str(row[0])
+
     def entries(self, axes: Sequence[str]) -> tuple[list[IndexedRun], list[str]]:
         """Runs of axes of these names in their order, and those of which the index is damaged."""
         marks = ",".join("?" * len(axes))

@@ -7,11 +7,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from commissioning.fleet.plan import Fleet, PlannedAxis
+from commissioning.journal import Journal
+from commissioning.session.twin import measured_twin
+from drivers.home import home
 from drivers.link_text import parse
 from drivers.virtual.axes import VirtualAxis, configured
 from drivers.virtual.memory import Memory
 from drivers.virtual.served import FIRST_NODE, BusOfDrives, ServedDrive, endpoints_like
-from profiles.errors import UsageError
+from profiles.axis import Axis
+from profiles.errors import TwoRelayError, UsageError
 from profiles.library import load_profile
 from profiles.transports import transport_of
 
@@ -68,13 +72,20 @@ def _twin(one: PlannedAxis, number: int, folder: Path) -> ServedDrive:
 
 
 def _plant(one: PlannedAxis, number: int) -> VirtualAxis:
-    """What the twin moves: the axis that the file names for it, or one that suits its motor."""
+    """What the twin moves.
+
+    The axis that the file names for it, else what was measured of it last, else one that suits its
+    motor.
+    """
     if one.twin is not None:
         link = parse(f"virtual://{one.twin}")
         options = {"seed": str(number + 1), **link.options}
         return configured(link.place.strip("/"), options)
     axis = one.axis
     assert axis is not None
+    measured = _measured(axis, None if one.serial == "none" else one.serial)
+    if measured is not None:
+        return measured
     asked = axis.limits.torque
     at_motor = asked / axis.mechanics.effort_per_torque if asked else 1.0
     rated = axis.rated_torque or at_motor
@@ -88,6 +99,19 @@ def _plant(one: PlannedAxis, number: int) -> VirtualAxis:
     if axis.mechanics.held_by == "brake":
         return configured("vertical", {**options, "load": f"{rated / 10:.9g}"})
     return configured("bench", options)
+
+
+def _measured(axis: Axis, serial: str | None) -> VirtualAxis | None:
+    """By the last run of this computer that measured the axis, on the drive that it has now."""
+    with Journal(home(), reading=True) as journal:
+        run = journal.last_measured(axis.name, serial)
+        if run is None:
+            return None
+        try:
+            twin = measured_twin(journal, run, {}, lambda what, unit: None)
+        except TwoRelayError:  # it does not tell enough, or its files are gone
+            return None
+    return twin.axis if axis.mechanics == twin.file.mechanics else None
 
 
 def on_twins(fleet: Fleet, twins: Twins, links: Sequence[str]) -> Fleet:

@@ -8,6 +8,7 @@ T-Mechatronics 19 (2014)), so only runs alike are compared.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -19,6 +20,7 @@ from commissioning.result.history import Drift, IndexedRun, Note, ValueSeen
 __all__ = ["BASELINE", "GATE", "LIMIT", "Chart", "drift", "segment"]
 
 BASELINE = 20  # like runs before there is a chart
+TRIAL = 20  # runs, until one that was in control is of the baseline
 GATE = 10.0  # %: a smaller change is no alarm
 WEIGHT = 0.2  # of the newest run
 LIMIT = 2.86 * sqrt(WEIGHT / (2 - WEIGHT))
@@ -55,6 +57,7 @@ class Chart:
         self._squares = 0.0  # of their deviations, summed
         self._own = 0.0  # of their own variances, likewise
         self._warmth = _Warmth()
+        self._on_trial: deque[tuple[float, float, float | None]] = deque()
 
     def sigma(self, own: float) -> float:
         """Standard deviation of a run whose own is `own`."""
@@ -82,10 +85,24 @@ class Chart:
         share = away / abs(self.centre) if self.centre else inf
         self.change += WEIGHT * (share - self.change)
         out = abs(self.ewma) > LIMIT
-        if not out and not self._known:
-            self._learn(value, own, temperature)
+        if not self._known:
+            self._grow(value, own, temperature, in_control=not out)
         left = self.change - self.explained
         return out and min(abs(self.change), abs(left)) >= self._gate
+
+    def _grow(
+        self, value: float, own: float, temperature: float | None, *, in_control: bool
+    ) -> None:
+        """A run is known to be in control when the chart has stayed so for TRIAL more.
+
+        A change that is not seen yet would be learnt otherwise, and never seen.
+        """
+        if not in_control:
+            self._on_trial.clear()
+            return
+        self._on_trial.append((value, own, temperature))
+        if len(self._on_trial) > TRIAL:
+            self._learn(*self._on_trial.popleft())
 
     def _learn(self, value: float, own: float, temperature: float | None) -> None:
         """By Welford's recursion."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,8 +11,15 @@ from commissioning.cli.fleet.demo import demo_file
 from commissioning.fleet.plan import Fleet, differences, load_fleet
 from commissioning.fleet.taking_up import chosen
 from commissioning.fleet.twins import twins_of
+from commissioning.journal import Journal
+from commissioning.records import RunContext
+from commissioning.result.found import Quantity
+from commissioning.runs import RunFolder
+from drivers.home import home
+from profiles.axis import Axis
 from profiles.errors import TwoRelayError, UsageError
 from tests.command import in_this_process
+from tests.result.test_codec import recorded
 
 AXIS = '[[axes]]\nname = "{0}"\nlink = "virtual://bench?seed={1}"\n'
 TWO = AXIS.format("a", 1) + AXIS.format("b", 2)
@@ -216,3 +224,32 @@ def test_the_demo_s_fleet_is_of_eight_axes_on_five_buses(tmp_path: Path) -> None
     served = {one.name: f"modbus-tcp://127.0.0.1:{5000 + n}" for n, one in enumerate(found.axes)}
     path.write_text(demo_file(served), "utf-8")
     assert {one.link for one in load_fleet(path).axes} == set(served.values())
+
+
+def test_the_twin_of_an_axis_that_was_measured_is_what_was_measured(tmp_path: Path) -> None:
+    """Its last run that can be trusted, on the drive that the file wants, with the same gear."""
+    result = replace(recorded("good")[0], axis="x")
+    with Journal(home()) as journal:
+        for serial in ("0x1", "0x2"):
+            run = journal.begin(
+                axis="x", link="modbus-tcp://127.0.0.1:502", profile="virtual-modbus",
+                profile_hash="h", serial=serial,
+                context=RunContext(Axis(name="x").model_dump_json()),
+            )  # fmt: skip
+            f = Quantity(0.1 * int(serial, 16), None, None, "N.m")
+            friction = replace(result.friction, coulomb=f)
+            RunFolder.of(journal, run).save(replace(result, run=run, friction=friction))
+
+    def coulomb(more: str) -> float:
+        path = tmp_path / "fleet.toml"
+        path.write_text(
+            'job = "identify"\nconfirm = "yes"\n[[axes]]\nname = "x"\ntravel = 1\n'
+            f'link = "modbus-tcp://127.0.0.1:502"\n{more}'
+        )
+        (bus,) = twins_of(load_fleet(path), tmp_path).buses
+        return bus.drives[0].axis.coulomb
+
+    assert coulomb("") == pytest.approx(0.2)
+    assert coulomb('serial = "0x1"') == pytest.approx(0.1)
+    assert coulomb('twin = "bench?coulomb=0.4"') == 0.4
+    assert coulomb("mechanics = { gear = 5.0 }") != pytest.approx(0.2), "it is another axis now"

@@ -89,28 +89,34 @@ class Index(OpenJournal):
             ).fetchone()
         return None if row is None else str(row[0])
 
+    def entry(self, run: str) -> IndexedRun | None:
+        """One run; None where the index does not have it, or is damaged there."""
+        found, damaged = self._entries("id = ?", (run,))
+        return None if damaged or not found else found[0]
+
     def entries(self, axes: Sequence[str]) -> tuple[list[IndexedRun], list[str]]:
         """Runs of axes of these names in their order, and those of which the index is damaged."""
-        marks = ",".join("?" * len(axes))
-        chosen = f"SELECT id FROM runs WHERE axis IN ({marks})"  # noqa: S608
+        return self._entries(f"axis IN ({','.join('?' * len(axes))})", tuple(axes))
+
+    def _entries(self, where: str, names: Row) -> tuple[list[IndexedRun], list[str]]:
+        chosen = f"SELECT id FROM runs WHERE {where}"  # noqa: S608
         with self._errors():
             runs = self._db.execute(
                 "SELECT runs.rowid, runs.id, created, axis, serial, link, "  # noqa: S608
                 "adopted.run IS NOT NULL, indexed.run, host, version, method, verdict, digest "
                 "FROM runs LEFT JOIN adopted ON adopted.run = runs.id "
-                f"LEFT JOIN indexed ON indexed.run = runs.id WHERE axis IN ({marks}) "
-                "ORDER BY runs.rowid",
-                tuple(axes),
+                f"LEFT JOIN indexed ON indexed.run = runs.id WHERE {where} ORDER BY runs.rowid",
+                names,
             ).fetchall()
             found = self._db.execute(
                 "SELECT run, quantity, value, low, high, unit FROM results "  # noqa: S608
                 f"WHERE run IN ({chosen}) ORDER BY run, rowid",
-                tuple(axes),
+                names,
             ).fetchall()
             seen = self._db.execute(
                 f"SELECT run, {', '.join(_CONDITIONS)} FROM conditions "  # noqa: S608
                 f"WHERE run IN ({chosen})",
-                tuple(axes),
+                names,
             ).fetchall()
         results: dict[str, list[Row]] = {}
         for run, *row in found:

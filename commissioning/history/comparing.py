@@ -44,13 +44,22 @@ def compared(name: str, first: Quantity | None, second: Quantity | None) -> Comp
         return None
     if first is None or second is None:
         return Compared(name, unit, first, second, None, None)
-    change = 100 * (second.value - first.value) / abs(first.value) if first.value else None
+    change = None
+    if not _may_be_zero(first):
+        change = 100 * (second.value - first.value) / abs(first.value)
     excluded: bool | None = None
     ends = first.low, first.high, second.low, second.high
     if None not in ends:
         first_low, first_high, second_low, second_high = cast("tuple[float, ...]", ends)
         excluded = second_low > first_high or first_low > second_high
     return Compared(name, unit, first, second, change, excluded)
+
+
+def _may_be_zero(found: Quantity) -> bool:
+    """Whether a change of it is no share of anything."""
+    if found.low is None or found.high is None:
+        return not found.value
+    return found.low <= 0 <= found.high
 
 
 # -- parameters -----------------------------------------------------------------------------------

@@ -188,7 +188,8 @@ class Compared:
     Attributes
     ----------
     first, second : None where that run did not measure it
-    change : of the second against the first, %; None where either is missing, or the first is 0
+    change : of the second against the first, %; None where either is missing, or the first may be
+        0
     excluded : whether the intervals exclude each other; None where one of them is not known
     """
 

@@ -25,7 +25,7 @@ class Listed:
     ----------
     began : s since 1970, by the computer's clock then
     verdict : of the measurement, or what became of the run instead
-    coulomb : None where none was measured, or the files are gone
+    coulomb : None where none was measured
     drive : what the run has left in the drive, in words
     adopted : it was measured on another computer
     """
@@ -50,16 +50,19 @@ def listed(journal: Journal, run: str) -> Listed:
     history = journal.history(run, of_drive=False)
     record = history.run
     result: RunResult | None = None
+    coulomb: Quantity | None = None
     try:
         result = RunFolder.of(journal, record.id).result(history)
-        verdict = _verdict(result, record)
+        verdict, coulomb = _verdict(result, record), result.coulomb
     except UsageError:
+        entry = journal.entry(record.id)  # its numbers outlive its files
+        coulomb = entry.quantities.get("coulomb") if entry and entry.measured else None
         gone = any(event.text == "files deleted" for event in history.events)
         there = (journal.folder / "runs" / record.id / "run.json").exists()
         verdict = "files damaged" if there else "files deleted" if gone else "files missing"
     return Listed(
-        record.id, record.axis, record.created, verdict, result.coulomb if result else None,
-        _in_drive(result, history), record.adopted,
+        record.id, record.axis, record.created, verdict, coulomb, _in_drive(result, history),
+        record.adopted,
     )  # fmt: skip
 
 

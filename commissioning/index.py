@@ -6,6 +6,7 @@ It is made of the runs' own results and made anew where it is damaged; notes are
 from __future__ import annotations
 
 import hashlib
+import sqlite3
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import astuple, fields, replace
@@ -15,12 +16,13 @@ from commissioning.journal_file import OpenJournal
 from commissioning.result.document import RunResult
 from commissioning.result.experiment import Conditions
 from commissioning.result.found import Quantity
-from commissioning.result.history import IndexedRun, Note, conditions_of, numbers_of
+from commissioning.result.history import IndexedRun, Note, Renamed, conditions_of, numbers_of
 
 __all__ = ["Index"]
 
 _CONDITIONS = tuple(one.name for one in fields(Conditions))
 _MOST_NAMES = 500  # of one question
+_DAY = 86400.0  # s
 Row = tuple[Any, ...]
 
 
@@ -30,26 +32,32 @@ class Index(OpenJournal):
     def index(self, run: str, result: RunResult | None) -> None:
         """Put in what a run says now; None: its files are gone, and say nothing."""
         about, results, conditions = _rows(result)
-        digest = _digest(about, results, conditions)
         with self._errors():
             self._db.execute("BEGIN IMMEDIATE")
+            if result is None and self._has(run):
+                self._db.execute("ROLLBACK")  # what it measured stands nowhere else
+                return
             self._db.execute("DELETE FROM results WHERE run=?", (run,))
             self._db.execute(
                 "INSERT OR REPLACE INTO indexed(run, host, version, method, verdict, digest) "
                 "VALUES (?,?,?,?,?,?)",
-                (run, *about, digest),
+                (run, *about, _digest(about, *results)),
             )
             self._db.executemany(
                 "INSERT INTO results(run, quantity, value, low, high, unit) VALUES (?,?,?,?,?,?)",
                 [(run, *row) for row in results],
             )
-            marks = ",".join("?" * (1 + len(_CONDITIONS)))
+            marks = ",".join("?" * (2 + len(_CONDITIONS)))
             self._db.execute(
-                f"INSERT OR REPLACE INTO conditions(run, {', '.join(_CONDITIONS)}) "  # noqa: S608
-                f"VALUES ({marks})",
-                (run, *conditions),
+                "INSERT OR REPLACE INTO conditions(run, digest, "  # noqa: S608
+                f"{', '.join(_CONDITIONS)}) VALUES ({marks})",
+                (run, _digest(conditions), *conditions),
             )
             self._db.execute("COMMIT")
+
+    def _has(self, run: str) -> bool:
+        found = self._db.execute("SELECT 1 FROM indexed WHERE run=?", (run,)).fetchone()
+        return found is not None
 
     def not_indexed(self) -> list[str]:
         """Runs that the index does not have, in their order."""
@@ -59,24 +67,11 @@ class Index(OpenJournal):
             ).fetchall()
         return [str(row[0]) for row in rows]
 
-    def clear_index(self) -> int:
-        """Forget it, to be made anew; what lies nowhere else stays: returns of how many runs."""
-        gone = "SELECT run FROM events WHERE text = 'files deleted'"
+    def axes(self) -> list[str]:
+        """Names of axes as their runs have them."""
         with self._errors():
-            self._db.executescript(
-                f"BEGIN IMMEDIATE; DELETE FROM results WHERE run NOT IN ({gone}); "  # noqa: S608
-                f"DELETE FROM conditions WHERE run NOT IN ({gone}); "
-                f"DELETE FROM indexed WHERE run NOT IN ({gone}); COMMIT"
-            )
-            return int(self._db.execute("SELECT COUNT(*) FROM indexed").fetchone()[0])
-
-    def axes(self) -> dict[str, int]:
-        """Names of axes that have runs, and the place of the last one."""
-        with self._errors():
-            rows = self._db.execute(
-                "SELECT axis, MAX(rowid) FROM runs GROUP BY axis ORDER BY axis"
-            ).fetchall()
-        return {str(axis): int(last) for axis, last in rows}
+            rows = self._db.execute("SELECT DISTINCT axis FROM runs ORDER BY axis").fetchall()
+        return [str(row[0]) for row in rows]
 
     def last_measured(self, axis: str, serial: str | None) -> str | None:
         """The last run of this computer that measured an axis; on the drive `serial`, if given."""
@@ -90,9 +85,9 @@ class Index(OpenJournal):
         return None if row is None else str(row[0])
 
     def entry(self, run: str) -> IndexedRun | None:
-        """One run; None where the index does not have it, or is damaged there."""
-        found, damaged = self._entries("id = ?", (run,))
-        return None if damaged or not found else found[0]
+        """One run, as far as the index is sound; None where there is none."""
+        found, _ = self._entries("id = ?", (run,))
+        return found[0] if found else None
 
     def entries(self, axes: Sequence[str]) -> tuple[list[IndexedRun], list[str]]:
         """Runs of axes of these names in their order, and those of which the index is damaged."""
@@ -103,33 +98,37 @@ class Index(OpenJournal):
         with self._errors():
             runs = self._db.execute(
                 "SELECT runs.rowid, runs.id, created, axis, serial, link, "  # noqa: S608
-                "adopted.run IS NOT NULL, indexed.run, host, version, method, verdict, digest "
-                "FROM runs LEFT JOIN adopted ON adopted.run = runs.id "
-                f"LEFT JOIN indexed ON indexed.run = runs.id WHERE {where} ORDER BY runs.rowid",
+                "adopted.run IS NOT NULL FROM runs LEFT JOIN adopted ON adopted.run = runs.id "
+                f"WHERE {where} ORDER BY runs.rowid",
                 names,
             ).fetchall()
-            found = self._db.execute(
-                "SELECT run, quantity, value, low, high, unit FROM results "  # noqa: S608
-                f"WHERE run IN ({chosen}) ORDER BY run, rowid",
-                names,
-            ).fetchall()
-            seen = self._db.execute(
-                f"SELECT run, {', '.join(_CONDITIONS)} FROM conditions "  # noqa: S608
-                f"WHERE run IN ({chosen})",
-                names,
-            ).fetchall()
-        results: dict[str, list[Row]] = {}
-        for run, *row in found:
-            results.setdefault(run, []).append(tuple(row))
-        conditions = {row[0]: tuple(row[1:]) for row in seen}
+        about, results, conditions = (
+            self._of_index(f"SELECT run, {columns} WHERE run IN ({chosen})", names)
+            for columns in (
+                "host, version, method, verdict, digest FROM indexed",
+                "quantity, value, low, high, unit FROM results",
+                f"digest, {', '.join(_CONDITIONS)} FROM conditions",
+            )
+        )
         entries, damaged = [], []
-        for number, run, began, axis, serial, link, adopted, *about in runs:
+        for number, run, began, axis, serial, link, adopted in runs:
             bare = IndexedRun(run, number, began, axis, serial, link, bool(adopted))
-            entry = _filled(bare, tuple(about), results.get(run, []), conditions.get(run))
-            entries.append(entry or bare)
-            if entry is None:
+            parts = (found.get(run, []) for found in (about, results, conditions))
+            entry, sound = _filled(bare, *parts)
+            entries.append(entry)
+            if not sound:
                 damaged.append(str(run))
         return entries, damaged
+
+    def _of_index(self, question: str, names: Row) -> dict[str, list[Row]]:
+        """Rows of the index by their run; none where they cannot even be read."""
+        found: dict[str, list[Row]] = {}
+        try:
+            for run, *row in self._db.execute(question, names):
+                found.setdefault(run, []).append(tuple(row))
+        except sqlite3.OperationalError:  # of a text that is none
+            return {}
+        return found
 
     # -- what people say -------------------------------------------------------------------------
 
@@ -142,22 +141,41 @@ class Index(OpenJournal):
             ).fetchone()
             if known is None:
                 self._db.execute(
-                    "INSERT INTO maintenance(axis, at, who, host, text, number) "
-                    "VALUES (?,?,?,?,?,?)",
-                    (note.axis, note.at, note.who, note.host, note.text, note.number),
+                    "INSERT INTO maintenance(axis, at, who, host, text, number, dated) "
+                    "VALUES (?,?,?,?,?,?,?)",
+                    (
+                        note.axis,
+                        note.at,
+                        note.who,
+                        note.host,
+                        note.text,
+                        note.number,
+                        note.dated,
+                    ),
                 )
         return known is None
+
+    def remove_note(self, axes: Sequence[str], text: str) -> bool:
+        """Forget the last note of this text; returns whether there was one."""
+        marks = ",".join("?" * len(axes))
+        with self._errors():
+            done = self._db.execute(
+                "DELETE FROM maintenance WHERE seq = (SELECT MAX(seq) FROM maintenance "  # noqa: S608
+                f"WHERE axis IN ({marks}) AND text=?)",
+                (*axes, text),
+            )
+        return done.rowcount > 0
 
     def notes(self, axes: Sequence[str]) -> list[Note]:
         """Notes on axes of these names, in the order in which they were made."""
         marks = ",".join("?" * len(axes))
         with self._errors():
             rows = self._db.execute(
-                "SELECT axis, at, text, who, host, number FROM maintenance "  # noqa: S608
+                "SELECT axis, at, text, who, host, number, dated FROM maintenance "  # noqa: S608
                 f"WHERE axis IN ({marks}) ORDER BY seq",
                 tuple(axes),
             ).fetchall()
-        return [Note(*row) for row in rows]
+        return [_note(tuple(row)) for row in rows]
 
     def last_number(self) -> int:
         """Place of the last run."""
@@ -169,15 +187,42 @@ class Index(OpenJournal):
         number = self.last_number()
         with self._errors():
             self._db.execute(
-                "INSERT OR REPLACE INTO axis_names(old, new, number, at) VALUES (?,?,?,?)",
+                "INSERT INTO renamed_axes(old, new, number, at) VALUES (?,?,?,?)",
                 (old, new, number, time.time()),
             )
 
-    def renamed(self) -> dict[str, tuple[str, int]]:
-        """What axes were called before: what then, and up to which run's place."""
+    def take_back_rename(self) -> Renamed | None:
+        """Forget the last renaming; returns it, or None where there is none."""
+        found = self.renamed()
+        if not found:
+            return None
         with self._errors():
-            rows = self._db.execute("SELECT old, new, number FROM axis_names").fetchall()
-        return {str(old): (str(new), int(number)) for old, new, number in rows}
+            self._db.execute(
+                "DELETE FROM renamed_axes WHERE seq = (SELECT MAX(seq) FROM renamed_axes)"
+            )
+        return found[-1]
+
+    def renamed(self) -> list[Renamed]:
+        """What axes were called before, in the order in which they were renamed."""
+        with self._errors():
+            rows = self._db.execute(
+                "SELECT old, new, number FROM renamed_axes ORDER BY seq"
+            ).fetchall()
+        return [
+            Renamed(str(old), str(new), number)
+            for old, new, number in rows
+            if isinstance(number, int)
+        ]
+
+    def named(self, axes: Sequence[str]) -> list[tuple[str, int]]:
+        """Name and place of each run of axes of these names."""
+        marks = ",".join("?" * len(axes))
+        with self._errors():
+            rows = self._db.execute(
+                f"SELECT axis, rowid FROM runs WHERE axis IN ({marks})",  # noqa: S608
+                tuple(axes),
+            ).fetchall()
+        return [(str(axis), int(number)) for axis, number in rows]
 
     def names_of_drives(self, serials: Iterable[str]) -> dict[str, list[str]]:
         """What axes with drives of these serial numbers are called, in order."""
@@ -205,29 +250,54 @@ def _rows(result: RunResult | None) -> tuple[Row, list[Row], Row]:
     return about, results, astuple(conditions_of(result))
 
 
-def _digest(about: Row, results: Sequence[Row], conditions: Row) -> str:
-    """A mark by which a damaged row is known; of numbers as SQLite gives them back."""
-    rows = [about, *sorted(results), conditions]
-    text = repr([[float(v) if isinstance(v, int | float) else v for v in row] for row in rows])
+def _digest(*rows: Row) -> str:
+    """A mark by which damaged rows are known; of values as SQLite gives them back."""
+    text = repr([[_plain(value) for value in row] for row in sorted(rows, key=repr)])
     return hashlib.blake2b(text.encode(errors="replace"), digest_size=8).hexdigest()
 
 
-def _filled(bare: IndexedRun, row: Row, numbers: list[Row], seen: Row | None) -> IndexedRun | None:
-    """A run with what the index has; None where that is damaged, or does not have it."""
-    known, host, version, method, verdict, digest = row
-    if known is None or seen is None:
-        return None
-    try:
-        if _digest((host, version, method, verdict), numbers, seen) != digest:
-            return None
-    except TypeError:
-        return None
-    return replace(
-        bare,
-        host=host,
-        version=version,
-        method=method,
-        verdict=verdict,
-        quantities={name: Quantity(*rest) for name, *rest in numbers},
-        conditions=Conditions(*seen),
+def _plain(value: object) -> object:
+    if isinstance(value, str):
+        return str(value)  # an enumeration's, too
+    return float(value) if isinstance(value, int | float) else value
+
+
+def _filled(
+    bare: IndexedRun, about: list[Row], numbers: list[Row], seen: list[Row]
+) -> tuple[IndexedRun, bool]:
+    """A run with what the index has of it that is sound, and whether that is all."""
+    entry = bare
+    sound = len(about) == 1 and len(seen) == 1
+    if about:
+        *told, digest = about[0]
+        if _digest(tuple(told), *numbers) == digest:
+            host, version, method, verdict = told
+            quantities = {name: Quantity(*rest) for name, *rest in numbers}
+            entry = replace(
+                entry, host=host, version=version, method=method, verdict=verdict,
+                quantities=quantities,
+            )  # fmt: skip
+        else:
+            sound = False
+    if seen:
+        digest, *values = seen[0]
+        if _digest(tuple(values)) == digest:
+            entry = replace(entry, conditions=Conditions(*values))
+        else:
+            sound = False
+    return entry, sound
+
+
+def _note(row: Row) -> Note:
+    """A note, whatever became of its row."""
+    axis, at, text, who, host, number, dated = row
+    is_date = isinstance(at, int | float) and 0 <= at < time.time() + _DAY
+    return Note(
+        str(axis),
+        float(at) if is_date else 0.0,
+        str(text),
+        None if who is None else str(who),
+        None if host is None else str(host),
+        number if isinstance(number, int) else 0,
+        bool(dated),
     )

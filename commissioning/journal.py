@@ -12,6 +12,7 @@ import re
 import sqlite3
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from commissioning.errors import JournalError
@@ -37,6 +38,7 @@ from commissioning.records import (
     intent_of,
     run_of,
 )
+from commissioning.result.history import Note, name_now, names_before
 from drivers.places import same_place
 from profiles.errors import Refused, UnknownName, UsageError
 
@@ -303,10 +305,19 @@ class Journal(Index):
                 "SELECT at, text FROM events WHERE run=? ORDER BY seq", (record.id,)
             ).fetchall()
         events = tuple(Event(float(at), str(text)) for at, text in rows)
-        notes = tuple(self.notes([record.axis]))
+        now, notes = self._of_axis(record)
         intents = tuple(self.intents(record.id))
         needed = of_drive or any(intent.lasts for intent in intents)
-        return History(record, intents, events, self._image(record) if needed else {}, notes)
+        return History(record, intents, events, self._image(record) if needed else {}, notes, now)
+
+    def _of_axis(self, record: RunRecord) -> tuple[str, tuple[Note, ...]]:
+        """What the axis of a run is called now, and the notes on it."""
+        renamed = self.renamed()
+        with self._errors():
+            row = self._db.execute("SELECT rowid FROM runs WHERE id=?", (record.id,)).fetchone()
+        now = name_now(record.axis, row[0], renamed)
+        notes = self.notes(names_before(now, renamed))
+        return now, tuple(n for n in notes if name_now(n.axis, n.number, renamed) == now)
 
     def _image(self, record: RunRecord) -> dict[str, Cell]:
         """What the drive of a run has, by all that was written to it here, and its stores."""
@@ -367,11 +378,11 @@ class Journal(Index):
         run = history.run
         if self.knows(run.id):
             return run.id
-        for note in history.notes:
-            self.note_on(note)
         now = time.time()
         with self._errors():
             self._db.execute("BEGIN IMMEDIATE")
+            for note in self.new_notes(history):
+                self.note_on(note)
             self._db.execute(
                 "INSERT INTO runs VALUES (?,?,?,?,?,?,?,?,?)",
                 (
@@ -398,12 +409,22 @@ class Journal(Index):
             self._db.execute("COMMIT")
         return run.id
 
+    def new_notes(self, history: History) -> list[Note]:
+        """Notes on the axis of a run of another computer that are not known, as they go in."""
+        there = {(n.at, n.text) for n in self.notes([history.run.axis])}
+        last, now = self.last_number(), time.time()
+        return [
+            replace(n, axis=history.run.axis, at=min(n.at, now), number=last, dated=True)
+            for n in history.notes
+            if (min(n.at, now), n.text) not in there
+        ]
+
     def known_as(self, record: RunRecord) -> str | None:
         """What a run of another computer is called here; None: it is not known."""
         with self._errors():
             row = self._db.execute(
-                "SELECT id FROM runs WHERE created=? AND axis=? AND serial=? AND link=?",
-                (record.created, record.axis, record.serial, record.link),
+                "SELECT id FROM runs WHERE created=? AND serial=? AND link=?",
+                (record.created, record.serial, record.link),
             ).fetchone()
         return None if row is None else str(row["id"])
 

@@ -59,10 +59,11 @@ CREATE TABLE IF NOT EXISTS fleet_events (
 );
 CREATE TABLE IF NOT EXISTS maintenance (
     seq INTEGER PRIMARY KEY AUTOINCREMENT, axis TEXT NOT NULL, at REAL NOT NULL, who TEXT,
-    host TEXT, text TEXT NOT NULL, number INTEGER
+    host TEXT, text TEXT NOT NULL, number INTEGER NOT NULL, dated INTEGER NOT NULL
 );
-CREATE TABLE IF NOT EXISTS axis_names (
-    old TEXT PRIMARY KEY, new TEXT NOT NULL, number INTEGER NOT NULL, at REAL NOT NULL
+CREATE TABLE IF NOT EXISTS renamed_axes (
+    seq INTEGER PRIMARY KEY AUTOINCREMENT, old TEXT NOT NULL, new TEXT NOT NULL,
+    number INTEGER NOT NULL, at REAL NOT NULL
 );
 CREATE INDEX IF NOT EXISTS runs_of_axis ON runs(axis);
 CREATE INDEX IF NOT EXISTS runs_of_drive ON runs(serial);
@@ -74,8 +75,8 @@ INDEX = {
     "digest TEXT",
     "results": "run TEXT, quantity TEXT, value REAL, low REAL, high REAL, unit TEXT, "
     "PRIMARY KEY (run, quantity)",
-    "conditions": "run TEXT PRIMARY KEY, motor_temperature REAL, drive_temperature REAL, "
-    "minutes_on REAL, position REAL, third INTEGER, cycle REAL",
+    "conditions": "run TEXT PRIMARY KEY, digest TEXT, motor_temperature REAL, "
+    "drive_temperature REAL, minutes_on REAL, position REAL, third INTEGER, cycle REAL",
 }
 TABLE = re.compile(r"CREATE TABLE IF NOT EXISTS (\w+)")
 

@@ -161,6 +161,7 @@ class History:
     events: tuple[Event, ...]
     image: Mapping[str, Cell]
     notes: tuple[Note, ...] = ()
+    named: str = ""  # what the axis is called now
 
     def before(self) -> dict[str, int]:
         """What each parameter that the run wrote for good had before, raw."""
@@ -300,6 +301,7 @@ class _Journal:
     intents: Annotated[tuple[_Intent, ...], Field(max_length=_MOST_INTENTS)]
     events: tuple[_Event, ...] = ()
     notes: tuple[_Note, ...] = ()
+    named: Text = ""
 
 
 @cache
@@ -367,7 +369,8 @@ def history_of(tree: Any, origin: str) -> History:
     stores = [(len(intents), text) for text in told[-2:]]
     image = image_of([i for i in intents if i.lasts], stores)
     notes = tuple(Note(found.run.axis, n.at, n.text, n.who, n.host) for n in found.notes)
-    return History(_run(found.run, adopted=True), intents, events, image, notes)
+    run_record = _run(found.run, adopted=True)
+    return History(run_record, intents, events, image, notes, found.named or run_record.axis)
 
 
 def history_tree(history: History) -> dict[str, Any]:
@@ -386,6 +389,7 @@ def history_tree(history: History) -> dict[str, Any]:
             {name: getattr(note, name) for name in ("at", "text", "who", "host")}
             for note in history.notes
         ],
+        "named": history.named,
     }
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import unicodedata
 from typing import Any
 
-__all__ = ["plain", "plain_lines", "plain_tree"]
+__all__ = ["harmless_cell", "plain", "plain_lines", "plain_tree"]
 
 _ACT = {
     "Cc",
@@ -46,3 +46,15 @@ def plain_tree(tree: Any) -> Any:
 
 def _shown(character: str) -> str:
     return character.encode("unicode_escape").decode("ascii")
+
+
+def harmless_cell(text: str) -> str:
+    """A text that no spreadsheet takes for a formula; numbers are as they are."""
+    found = plain(text)
+    if found[:1] not in ("=", "+", "-", "@", "\t"):
+        return found
+    try:
+        float(found)
+    except ValueError:
+        return f"'{found}"
+    return found

@@ -120,6 +120,10 @@ def _report_failure(error: Exception) -> int:
         message = " ".join(error.format_message().split())
         where = getattr(error, "ctx", None)
         message += _meant(message, where)
+        if any(word.startswith("--junit") for word in sys.argv):
+            from commissioning.cli.junit import usage_error
+
+            usage_error(sys.argv[1:], message)
         hint = f" Try '{where.command_path} --help'." if where is not None else ""
         say(f"tworelay: {message}{hint}", err=True)
         return 2

@@ -65,7 +65,7 @@ def _show(found: Comparison) -> None:
         [labels[one.quantity], _value(one.first), _value(one.second), *_verdict(one)]
         for one in found.quantities
     ]
-    columns = ["", found.first, found.second, "change", "intervals"]
+    columns = ["quantity", found.first, found.second, "change", "intervals"]
     if rows:
         screen.table("what was measured", columns, rows)
     else:
@@ -81,7 +81,7 @@ def _show(found: Comparison) -> None:
             ]
         )  # fmt: skip
     if rows:
-        columns = ["parameter", found.first, found.second, "", "x"]
+        columns = ["parameter", found.first, found.second, "they are", "in steps of"]
         screen.table("parameters of the drive, raw values", columns, rows, of_words=True)
     for remark in found.remarks:
         screen.say(remark)
@@ -96,7 +96,9 @@ def _value(found: Quantity | None) -> str:
 
 
 def _verdict(one: Compared) -> list[str]:
-    change = "" if one.change is None else f"{one.change:+.2g} %"
+    from commissioning.result.words import percent
+
+    change = "" if one.change is None else percent(one.change)
     intervals = {True: "exclude each other", False: "overlap", None: ""}[one.excluded]
     return [change, intervals]
 
@@ -115,7 +117,7 @@ def _show_fleets(found: FleetComparison) -> None:
     rows = []
     for axis in found.axes:
         changes = [words(one) for one in axis.quantities]
-        rows.append([axis.axis, axis.first, axis.second, "\n".join(changes), axis.parameters])
+        rows.append([axis.axis, axis.first, axis.second, "; ".join(changes), axis.parameters])
     columns = ["axis", found.first, found.second, "measured", "parameters"]
     screen.table("fleet runs side by side", columns, rows, of_words=True)
     for remark in found.remarks:

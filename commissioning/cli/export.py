@@ -9,6 +9,7 @@ import click
 
 from commissioning.cli.options import verbose
 from commissioning.cli.output import say
+from profiles.errors import UsageError
 
 if TYPE_CHECKING:
     from commissioning.journal import Journal
@@ -47,10 +48,10 @@ def _all_to(journal: Journal, folder: Path) -> None:
     """Every run that has files; those that have none are told."""
     from commissioning.cli.terminal import Screen
     from commissioning.runs import resolve
-    from profiles.errors import UsageError
 
     runs, _ = journal.last_runs(None)
     left: list[str] = []
+    broken: list[UsageError] = []
     with Screen(None, yes=True).counting("exporting", len(runs)) as told:
         for run in runs:
             told(1)
@@ -59,8 +60,16 @@ def _all_to(journal: Journal, folder: Path) -> None:
             except UsageError:
                 left.append(run)
                 continue
-            source.export(journal, run, folder / run)
-    say(f"{len(runs) - len(left)} run(s) exported to {folder}")
+            try:
+                source.export(journal, run, folder / run)
+            except UsageError as error:
+                broken.append(error)
+    say(f"{len(runs) - len(left) - len(broken)} run(s) exported to {folder}")
     if left:
         some = ", ".join(left[:3]) + (" …" if left[3:] else "")
         say(f"{len(left)} have no files any more, and were not: {some}")
+    say("fleet runs are no part of it: 'tworelay fleet report' writes theirs")
+    for one in broken:
+        say(f"not exported: {one}", err=True)
+    if broken:
+        raise broken[0]

@@ -13,6 +13,7 @@ import click
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text
 from commissioning.cli.terminal import Finite, Screen, at_desk, check_json
+from profiles.axis import load_axis
 from profiles.errors import UnknownName, UsageError
 
 if TYPE_CHECKING:
@@ -25,7 +26,6 @@ __all__ = ["command"]
 
 _DAY = 86400.0  # s
 _SHOWN = "coulomb", "viscous", "inertia"
-_NARROW = 40  # characters
 _MANY = 50  # runs: from here on indexing takes a while
 
 
@@ -87,6 +87,10 @@ def list_runs(
 
     for target in (picture, csv_target):
         check_json(target, "--picture" if target is picture else "--csv")
+    if as_json and csv_target == "-":
+        raise UsageError("--json and --csv - both want standard output: give one a file")
+    if axis is not None and axis.endswith(".toml") and Path(axis).is_file():
+        axis = load_axis(Path(axis)).name
     if axis is None and (picture or csv_target):
         raise UsageError("--picture and --csv are of one axis: say which, 'tworelay history AXIS'")
     with Journal(home(), reading=True) as journal:
@@ -136,7 +140,7 @@ def _one_axis(
 ) -> None:
     """Table, picture, lines and JSON of one axis."""
     from commissioning.history.story import story_of
-    from commissioning.history.telling import LABELS, csv_text, day, drift_words, events
+    from commissioning.history.telling import csv_text, drift_words
     from commissioning.result.history import Story
     from commissioning.session.listed import listed
 
@@ -166,38 +170,46 @@ def _one_axis(
     screen = Screen(None, yes=True)
     if first:
         screen.say(f"{first} older runs are not shown: --all")
-    happened = events(story)
-    table = []
-    for number, (one, entry) in enumerate(zip(rows, story.entries[first:], strict=True), first):
-        table += [_between(day(at), text) for n, at, text in happened if n == number]
-        q = entry.quantities
-        numbers = [_quantity(q.get(name), "") for name in _SHOWN]
-        table.append([f"{one.run}{' (adopted)' if one.adopted else ''}", one.verdict, *numbers])
-    end = len(story.entries)
-    table += [_between(day(at), text) for n, at, text in happened if n == end]
-    units = {name: q.unit for one in story.entries for name, q in one.quantities.items()}
-    columns = ["run", "verdict"]
-    columns += [f"{LABELS[name]} in {units[name]}" if name in units else "" for name in _SHOWN]
-    screen.table(f"axis {story.axis}, newest last", columns, table)
+    _table(screen, story, rows, first)
     if rows:
         screen.say(f"in the drive, of the last run: {rows[-1].drive}")
     for remark in story.remarks:
         screen.say(remark)
     for found in story.drifts:
-        if found.quantity == "coulomb" or found.state in ("drifting", "changed"):
+        if found.quantity == "coulomb" or found.alarm:
             screen.say(drift_words(story.axis, found))
     for text in story.drifts[0].said if story.drifts else ():
         screen.say(f"  {text}")
-    for target in filter(None, (picture, csv_target)):
-        screen.say(target)
+    for what, target in (("picture", picture), ("lines", csv_target)):
+        if target is not None:
+            screen.say(f"{what}: {target}")
 
 
-def _between(when: str, text: str) -> list[str]:
-    """A line between two runs, as narrow as their ids."""
-    from textwrap import fill
+def _table(screen: Screen, story: Story, rows: list[Listed], first: int) -> None:
+    """The runs with their numbers; a line where something happened, and beneath, what."""
+    from commissioning.history.telling import LABELS, day, events
 
-    line = fill(f"{when}: {text}", _NARROW, initial_indent="  ", subsequent_indent="    ")
-    return [line, "", *[""] * len(_SHOWN)]
+    shown = story.entries[first:]
+    units = {name: q.unit for one in story.entries for name, q in one.quantities.items()}
+    warm = any(one.conditions.motor_temperature is not None for one in shown)
+    methods = len({one.method for one in shown if one.method}) > 1
+    columns = ["run", "verdict", *(["method"] if methods else []), *(["motor °C"] if warm else [])]
+    columns += [f"{LABELS[name]} in {units[name]}" if name in units else "" for name in _SHOWN]
+    table = []
+    for one, entry in zip(rows, shown, strict=True):
+        row = [f"{one.run}{' (adopted)' if one.adopted else ''}", one.verdict]
+        row += [entry.method or ""] if methods else []
+        at = entry.conditions.motor_temperature
+        row += ["" if at is None else f"{at:.4g}"] if warm else []
+        table.append([*row, *(_quantity(entry.quantities.get(name), "") for name in _SHOWN)])
+    happened = [(n, at, text) for n, at, text in events(story) if n >= first]
+    screen.table(
+        f"axis {story.axis}, newest last", columns, table,
+        ends={n - first - 1 for n, _, _ in happened},
+    )  # fmt: skip
+    for n, at, text in happened:
+        place = "before the first run" if not n else f"after {story.entries[n - 1].run}"
+        screen.say(f"{day(at)}, {place}: {text}")
 
 
 def _quantity(found: Quantity | None, unit: str | None = None) -> str:
@@ -304,6 +316,7 @@ def drift(gate: float, as_json: bool) -> None:
                 [
                     {
                         "axis": one.axis, "quantity": d.quantity, "state": d.state,
+                        "alarm": d.alarm,
                         "change": d.change, "change_error": d.change_error,
                         "since": d.since and _iso(d.since),
                         "first_seen": d.first_seen and _iso(d.first_seen),
@@ -315,61 +328,88 @@ def drift(gate: float, as_json: bool) -> None:
         )  # fmt: skip
         return
     screen = Screen(None, yes=True)
-    worse = [(one, d) for one, d in found if d.state in ("drifting", "changed")]
+    if not stories:
+        screen.say("no runs")
+        return
+    worse = [(one, d) for one, d in found if d.alarm]
     for one, d in worse:
         screen.say(drift_words(one.axis, d))
-    rest = len({one.axis for one in stories} - {one.axis for one, _ in worse})
-    screen.say(f"{rest} axis or axes without a change" if stories else "no runs")
+    alarmed = {one.axis for one, _ in worse}
+    calm = {one.axis for one, d in found if d.state in ("in control", "changed")} - alarmed
+    rest = len({one.axis for one in stories} - alarmed - calm)
+    screen.say(
+        f"of {len(stories)} axes {len(alarmed)} changed, {len(calm)} did not, and {rest} cannot be "
+        "told (too few runs under like conditions)"
+    )
 
 
 @command.command("note")
 @click.argument("axis")
 @click.argument("text")
 @click.option("--at", metavar="DATE", help="2026-03-03, when it was done; default: now.")
+@click.option("--remove", is_flag=True, help="Take the note of this TEXT back.")
 @verbose
-def note(axis: str, text: str, at: str | None) -> None:
+def note(axis: str, text: str, at: str | None, remove: bool) -> None:
     """Note what was done to AXIS: 'regreased', 'new belt'. Its drift is counted from then on."""
-    from commissioning.history.story import add_note
+    from commissioning.history.story import add_note, remove_note
     from commissioning.history.telling import day
     from commissioning.journal import Journal
     from drivers.home import home
 
+    screen = Screen(None, yes=True)
     with Journal(home()) as journal:
+        if remove:
+            screen.say(f"taken back, of {remove_note(journal, axis, text)}: {text}")
+            return
         made = add_note(journal, axis, text, None if at is None else _day("--at", at))
-    Screen(None, yes=True).say(f"noted for {made.axis}, {day(made.at)}: {made.text}")
+    screen.say(f"noted for {made.axis}, {day(made.at)}: {made.text}")
 
 
 @command.command("rename")
-@click.argument("old")
-@click.argument("new")
+@click.argument("old", required=False)
+@click.argument("new", required=False)
+@click.option("--join", is_flag=True, help="NEW has runs already: both become one, for good.")
+@click.option("--undo", is_flag=True, help="Take the last renaming back.")
 @verbose
-def rename(old: str, new: str) -> None:
+def rename(old: str | None, new: str | None, join: bool, undo: bool) -> None:
     """The axis that was called OLD is called NEW now: its history goes on."""
     from commissioning.history.story import rename as renamed
     from commissioning.journal import Journal
     from drivers.home import home
 
+    screen = Screen(None, yes=True)
     with Journal(home()) as journal:
-        renamed(journal, old, new)
-    Screen(None, yes=True).say(f"'{old}' is called '{new}' from now on")
+        if undo:
+            back = journal.take_back_rename()
+            if back is None:
+                raise UsageError("no axis was renamed here")
+            screen.say(f"taken back: '{back.old}' is not called '{back.new}'")
+            return
+        if old is None or new is None:
+            raise click.UsageError("give OLD and NEW, or --undo", click.get_current_context())
+        renamed(journal, old, new, join=join)
+    screen.say(f"'{old}' is called '{new}' from now on; 'tworelay history rename --undo' undoes it")
 
 
 @command.command("reindex")
 @verbose
 def reindex() -> None:
     """Make the index of all runs anew, from their own files."""
+    from commissioning.errors import JournalError
     from commissioning.history.catching_up import catch_up
     from commissioning.journal import Journal
     from drivers.home import home
 
     screen = Screen(None, yes=True)
-    with Journal(home()) as journal:
-        kept = journal.clear_index()
-        runs = journal.not_indexed()
+    with Journal(home(), reading=True) as journal:
+        runs, _ = journal.last_runs(None)
     with screen.counting("indexing", len(runs)) as told:
-        catch_up(runs, told)
-    gone = f", {kept} kept as they were: their files are gone" if kept else ""
-    screen.say(f"{len(runs)} runs indexed{gone}")
+        read = catch_up(runs, told)
+    if read is None:
+        raise JournalError(f"the index in {home()} cannot be written")
+    left = len(runs) - read
+    gone = f"; {left} have no files that can be read, and stay as they were" if left else ""
+    screen.say(f"{read} runs indexed{gone}")
 
 
 @command.command("prune")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,12 +13,14 @@ import click
 
 from commissioning.cli import output
 from commissioning.cli.terminal import check_json
-from profiles.errors import TwoRelayError
+from profiles.errors import TwoRelayError, UsageError
 
 if TYPE_CHECKING:
     from commissioning.result.document import RunResult
+    from commissioning.result.junit import Case
+    from profiles.axis import Axis
 
-__all__ = ["junit_option"]
+__all__ = ["junit_option", "usage_error"]
 
 
 def junit_option(act: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -28,6 +31,8 @@ def junit_option(act: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]
         def wrapped(*args: Any, junit: str | None, **kwargs: Any) -> Any:
             if junit is None:
                 return function(*args, **kwargs)
+            if junit == "-":
+                raise UsageError("--junit -: give a file; --json - is for standard output")
             check_json(junit, "--junit")
             began = time.monotonic()
             error: BaseException | None = None
@@ -47,22 +52,54 @@ def junit_option(act: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
 def _write(target: str, act: str, named: str, error: BaseException | None, seconds: float) -> None:
-    from commissioning.result.junit import Case, case_of_exit, junit_text, numbers_of_run
-    from commissioning.result.words import act_ended
+    from commissioning.result.junit import Case, case_of_exit, numbers_of_run
 
     meta = click.get_current_context().meta
     result: RunResult | None = meta.get(output.RESULT)
-    group: str | None = meta.get(output.GROUP)
+    axis: Axis | None = meta.get(output.AXIS)
+    group = axis.group if axis else None
+    name = result.axis if result else axis.name if axis else named
+    outcome = case_of_exit(_exit_code(error))
+    dry = outcome == "passed" and result is not None and result.quality.has("dry-run")
     case = Case(
-        f"{result.axis if result else named}: {act}",
+        f"{name}: {act}",
         f"tworelay.{group}" if group else "tworelay",
-        case_of_exit(_exit_code(error)),
+        "skipped" if dry else outcome,
         seconds,
         getattr(error, "code", type(error).__name__ if error else ""),
-        str(error or ""),
+        "dry run" if dry else str(error or ""),
         tuple(numbers_of_run(result)) if result else (),
-        (act_ended(result),) if result and result.ending else (),
+        _lines(result) if result else (),
     )
+    _put(target, case)
+
+
+def _lines(result: RunResult) -> list[str]:
+    """What else there is to read of a result."""
+    from commissioning.result.words import VERDICTS, act_ended
+
+    ending = act_ended(result) if result.ending else result.status
+    lines = [ending, f"verdict {VERDICTS[result.quality.verdict]}"]
+    lines += [f"run {result.run}"] if result.run else []
+    lines += [f"serial {result.identity.serial}"] if result.identity else []
+    written = ", ".join(f"{one.parameter} {one.raw}" for one in result.written)
+    return [*lines, *([f"in the drive: {written}"] if written else [])]
+
+
+def usage_error(arguments: Sequence[str], message: str) -> None:
+    """A command that was not understood says so, where --junit is to be: no old file stays."""
+    from commissioning.result.junit import Case
+
+    files = [value for word, value in pairwise(arguments) if word == "--junit"]
+    files += [word.partition("=")[2] for word in arguments if word.startswith("--junit=")]
+    if files and files[-1] not in ("", "-"):
+        act = next((word for word in arguments if not word.startswith("-")), "tworelay")
+        _put(files[-1], Case(f"{act}: usage", "tworelay", "error", kind="usage", message=message))
+
+
+def _put(target: str, case: Case) -> None:
+    from commissioning.result.junit import junit_text
+
     try:
         Path(target).write_text(junit_text("tworelay", [case]), "utf-8")
     except OSError as problem:

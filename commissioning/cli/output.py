@@ -19,9 +19,9 @@ import click
 
 from profiles.plain import plain, plain_lines
 
-RESULT, GROUP = "tworelay.result", "tworelay.group"  # what a command has come to, in its context
+RESULT, AXIS = "tworelay.result", "tworelay.axis"  # what a command has come to, in its context
 
-__all__ = ["GROUP", "RESULT", "document", "giving_up", "json_text", "say", "written"]
+__all__ = ["AXIS", "RESULT", "document", "giving_up", "json_text", "say", "written"]
 
 
 def say(text: str = "", *, err: bool = False) -> None:

@@ -269,7 +269,10 @@ def adopted(found: Adopted, screen: Screen) -> None:
     """A run of another computer, before it is taken in."""
     parameters = found.profile.parameters
     screen.say(f"run {found.run}")
-    screen.say(f"  axis     {found.axis.name}: {_mechanics(found.axis)}")
+    called = "" if found.named == found.axis.name else f", called {found.named} now"
+    screen.say(f"  axis     {found.axis.name}{called}: {_mechanics(found.axis)}")
+    for text in found.notes:
+        screen.say(f"  note     {text}")
     screen.say(f"  link     {found.axis.link}")
     screen.say(f"  drive    serial {found.serial or 'unknown'}")
     screen.say(f"  profile  {found.profile.name} {found.profile.version}, as known here")

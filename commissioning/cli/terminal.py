@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Container, Generator, Mapping
 from dataclasses import dataclass, fields
 from functools import wraps
 from pathlib import Path
@@ -141,17 +141,23 @@ class Screen:
             progress.start()
 
     def table(
-        self, title: str, columns: list[str], rows: list[list[str]], *, of_words: bool = False
+        self,
+        title: str,
+        columns: list[str],
+        rows: list[list[str]],
+        *,
+        of_words: bool = False,
+        ends: Container[int] = (),
     ) -> None:
-        """A table; `of_words`: and not of numbers."""
+        """A table; `of_words`: and not of numbers. `ends`: rows with a line beneath."""
         from rich.table import Table
 
         table = Table(title=plain(title), title_justify="left", title_style="bold")
         for n, column in enumerate(columns):
             justify = "left" if n == 0 or of_words else "right"
             table.add_column(plain(column), justify=justify, no_wrap=n == 0, overflow="fold")  # type: ignore[arg-type]
-        for row in rows:
-            table.add_row(*map(plain, row))
+        for n, row in enumerate(rows):
+            table.add_row(*map(plain, row), end_section=n in ends)
         with output.giving_up(err=self.to_stderr):
             self.console().print(table, markup=False)
 
@@ -317,7 +323,7 @@ class Job:
     def axis(self, target: str) -> Axis:
         """TARGET with what is asked of it; raises UsageError."""
         axis = axis_from(target, self.profile)
-        click.get_current_context().meta[output.GROUP] = axis.group
+        click.get_current_context().meta[output.AXIS] = axis
         if self.watchdog is None:
             return axis
         limits = axis.limits.model_copy(update={"watchdog": self.watchdog})

@@ -70,8 +70,8 @@ def list_axes(habits: bool, as_json: bool) -> None:
     "runs",
     multiple=True,
     metavar="RUN",
-    help="The twin of the axis that RUN measured, at its motor; --set is for what it does not "
-    "tell.",
+    help="The twin of the axis that RUN measured, at its motor, on a wire like the run's own "
+    "unless one is named; --set is for what it does not tell. Several: on one bus.",
 )
 @click.option(
     "--ready", type=click.Path(dir_okay=False, path_type=Path), metavar="F",
@@ -238,7 +238,7 @@ def _serve_runs(
 ) -> int:
     """Twins of the axes that runs measured, on one bus; a LINK a line."""
     from commissioning.journal import Journal
-    from commissioning.session.twin import measured_twin
+    from commissioning.session.twin import measured_twin, numbered
     from drivers.home import home
     from drivers.virtual.habits import habits_of
     from drivers.virtual.serve import serve
@@ -247,16 +247,21 @@ def _serve_runs(
 
     if len(runs) > 1 and (state or axis_file):
         raise UsageError(f"{state or axis_file}: {len(runs)} drives do not go into one file")
+    if axis_file is not None and axis_file.exists():
+        raise UsageError(f"--axis-file {axis_file}: is there already: name another file")
     given = _given(changes)
     with Journal(home(), reading=True) as journal:
         twins = [measured_twin(journal, run, given, _asked) for run in runs]
     if not (endpoints.is_modbus or endpoints.is_canopen):
         endpoints = endpoints_like(twins[0].link, twins[0].profile)
-    key = "unit" if endpoints.is_modbus else "node"
-    drives = _told_apart((one.served(n, state) for n, one in enumerate(twins)), key)
-    for one in twins:
+    key: Literal["unit", "node"] = "unit" if endpoints.is_modbus else "node"
+    numbers = numbered(twins, key)
+    drives = [one.served(numbers[n], numbers[n], n, state) for n, one in enumerate(twins)]
+    for one, number in zip(twins, numbers, strict=True):
         for line in one.said:
             say(f"{one.axis.name}: {line}", err=True)
+        if one.link.integer(key, 1, 247) not in (None, number):
+            say(f"{one.axis.name}: {key} {number}, since its own is another's here", err=True)
     left = [twins[0]] if axis_file else []
     is_ready = _Ready(ready, [one.axis.name for one in twins])
 

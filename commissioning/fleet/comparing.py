@@ -12,6 +12,7 @@ from commissioning.journal import Journal
 from commissioning.result.fleet import FleetAxis, FleetResult
 from commissioning.result.found import Quantity
 from commissioning.result.history import Compared
+from commissioning.result.words import percent
 from profiles.errors import UnknownName, UsageError
 
 __all__ = ["AxisCompared", "FleetComparison", "compare_fleets", "fleet_runs", "words"]
@@ -124,4 +125,4 @@ def words(one: Compared) -> str:
     if one.change is None:
         return f"{one.quantity} not in both"
     apart = {True: ": outside both intervals", False: "", None: ""}[one.excluded]
-    return f"{one.quantity} {one.change:+.2g} %{apart}"
+    return f"{one.quantity} {percent(one.change)}{apart}"

@@ -9,7 +9,7 @@ from typing import Literal
 
 from commissioning.result.fleet import FleetAxis, FleetResult, JobState, Outcome
 from commissioning.result.junit import Case, Number, junit_text, spread
-from profiles.plain import plain
+from profiles.plain import harmless_cell
 
 __all__ = ["csv_text", "junit_of", "numbers"]
 
@@ -70,7 +70,7 @@ def csv_text(result: FleetResult) -> str:
         found = {name: (f"{value:.9g}", unit) for name, value, unit in numbers(one.outcome)}
         row = [_cell(result, one, column) for column in _COLUMNS]
         row += [part for name in names for part in found.get(name, ("", ""))]
-        writer.writerow([_harmless(cell) for cell in row])
+        writer.writerow([harmless_cell(cell) for cell in row])
     return stream.getvalue()
 
 
@@ -82,10 +82,3 @@ def _cell(result: FleetResult, one: FleetAxis, column: str) -> str:
     source = one.outcome if column in ("run", "verdict", "sha256") else one
     value = getattr(source, column) if source is not None else None
     return "" if value is None else str(value)
-
-
-def _harmless(cell: str) -> str:
-    """A text that no spreadsheet takes for a formula."""
-    text = plain(cell)
-    is_formula = text[:1] in ("=", "+", "@") or (text[:1] == "-" and not text[1:2].isdigit())
-    return f"'{text}" if is_formula else text

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from commissioning.result.history import IndexedRun
 
-__all__ = ["NO_SERIAL", "SameAxis", "chosen", "groups", "in_order", "names_of", "of_names"]
+__all__ = ["NO_SERIAL", "SameAxis", "chosen", "groups", "in_order"]
 
 NO_SERIAL = "", "0x00000000"
-Renamed = Mapping[str, tuple[str, int]]  # old name: the new one, and the last run before that
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,39 +22,6 @@ class SameAxis:
     entries: tuple[IndexedRun, ...]
     hosts: frozenset[str]
     is_ours: bool
-
-
-def names_of(name: str, known: Mapping[str, int], renamed: Renamed) -> list[str]:
-    """What the axis is called now, and all that it was called before.
-
-    A name that has runs since it was given up is that of another axis.
-
-    `known` : axes with the place of their last run
-    """
-    now, seen = name, {name}
-    while now in renamed:
-        later, number = renamed[now]
-        if later in seen or known.get(now, 0) > number:
-            break
-        now = later
-        seen.add(now)
-    names = [now]
-    for one in names:
-        names += [old for old, (new, _) in renamed.items() if new == one and old not in names]
-    return names
-
-
-def of_names(
-    entries: Iterable[IndexedRun], names: Sequence[str], renamed: Renamed
-) -> list[IndexedRun]:
-    """Those runs that were made while the axis had the name."""
-    found = []
-    for one in entries:
-        given_up = renamed[one.axis][1] if one.axis in renamed else None
-        is_old = given_up is not None and one.number <= given_up
-        if (one.axis == names[0]) != is_old:
-            found.append(one)
-    return found
 
 
 def groups(entries: Sequence[IndexedRun], here: str) -> list[SameAxis]:

@@ -16,19 +16,23 @@ from profiles.errors import UsageError
 __all__ = ["catch_up", "said_by_run"]
 
 
-def catch_up(runs: Iterable[str], told: Callable[[int], None] = lambda step: None) -> bool:
-    """Index these runs; returns whether the index could be written.
+def catch_up(runs: Iterable[str], told: Callable[[int], None] = lambda step: None) -> int | None:
+    """Index these runs; returns how many of them have a file that says something.
 
-    `told` : each run, 1
+    None where the index cannot be written. What it has of a run without a file stays. `told`: each
+    run, 1
     """
+    read = 0
     try:
         with Journal(home()) as journal:
             for run in runs:
-                journal.index(run, _result(journal, run))
+                result = _result(journal, run)
+                journal.index(run, result)
+                read += result is not None
                 told(1)
     except JournalError:
-        return False
-    return True
+        return None
+    return read
 
 
 def said_by_run(journal: Journal, entry: IndexedRun) -> IndexedRun:

@@ -42,7 +42,7 @@ def compared(name: str, first: Quantity | None, second: Quantity | None) -> Comp
     unit = first.unit if first else second.unit if second else None
     if unit is None:
         return None
-    if first is None or second is None:
+    if first is None or second is None or first.unit != second.unit:
         return Compared(name, unit, first, second, None, None)
     change = None
     if not _may_be_zero(first):
@@ -112,6 +112,9 @@ def _remarks(first: RunResult, second: RunResult) -> list[str]:
         ("method", first.friction.method, second.friction.method),
         ("tworelay", _version(first), _version(second)),
         ("computer", first.host, second.host),
+        ("link", first.link, second.link),
+        ("cycle", _cycle(first), _cycle(second)),
+        ("travel", _travel(first), _travel(second)),
     ]
     found = [
         f"another {what}: {a or 'not known'} and {b or 'not known'}"
@@ -150,6 +153,16 @@ def _serial(result: RunResult) -> str | None:
 
 def _profile(result: RunResult) -> str | None:
     return f"{result.profile.name} {result.profile.version}" if result.profile else None
+
+
+def _cycle(result: RunResult) -> str | None:
+    return f"{1000 * result.experiment.cycle:.3g} ms" if result.experiment else None
+
+
+def _travel(result: RunResult) -> str | None:
+    if result.experiment is None or result.experiment.limits is None:
+        return None
+    return f"±{result.experiment.limits.travel:.4g} {result.units.position}"
 
 
 def _version(result: RunResult) -> str | None:

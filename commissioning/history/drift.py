@@ -8,7 +8,7 @@ T-Mechatronics 19 (2014)), so only runs alike are compared.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -17,16 +17,18 @@ from statistics import fmean
 
 from commissioning.result.history import Drift, IndexedRun, Note, ValueSeen
 
-__all__ = ["BASELINE", "GATE", "LIMIT", "Chart", "drift", "segment"]
+__all__ = ["BASELINE", "GATE", "LIMIT", "Chart", "drift", "is_behind", "segment"]
 
 BASELINE = 20  # like runs before there is a chart
 TRIAL = 20  # runs, until one that was in control is of the baseline
+FIRST = "the first run"
 GATE = 10.0  # %: a smaller change is no alarm
 WEIGHT = 0.2  # of the newest run
 LIMIT = 2.86 * sqrt(WEIGHT / (2 - WEIGHT))
 _TEMPERATURE = 10.0  # K
-_SPREAD = 2.0  # K, of a baseline that tells what the temperature does
-_STEEPEST = 0.02  # a kelvin, of any grease
+_KINDS = 20  # of conditions that are looked at
+_SPREAD = 3.0  # K, of a baseline that tells what the temperature does
+_USUAL, _STEEPEST = 0.01, 0.03  # a kelvin, by which friction falls: of most greases, and of any
 _PRESENT = 10  # runs that tell the level now
 _SURE = 1.96  # of a normal distribution, 95 %
 
@@ -120,13 +122,13 @@ class Chart:
 class _Warmth:
     """What the motor's temperature does to a quantity, by the runs of the baseline.
 
-    Where those are all as warm, it falls by nothing to _STEEPEST a kelvin.
+    Where those are all as warm, it falls by nothing to _USUAL a kelvin.
     """
 
     def __init__(self) -> None:
         self._count = 0
         self._mean = self._value = self._squares = self._products = 0.0
-        self._now: float | None = None
+        self.now: float | None = None
 
     def learn(self, temperature: float | None, value: float) -> None:
         """A run of the baseline, °C."""
@@ -142,17 +144,18 @@ class _Warmth:
     def follow(self, temperature: float | None) -> None:
         """How warm it is now, in the mean of the chart."""
         if temperature is not None and self._count:
-            before = self._mean if self._now is None else self._now
-            self._now = before + WEIGHT * (temperature - before)
+            before = self._mean if self.now is None else self.now
+            self.now = before + WEIGHT * (temperature - before)
 
     def share(self, change: float, centre: float) -> float:
         """What it explains of a change, both as shares of the centre."""
-        if self._now is None or self._count < 2:
+        if self.now is None or self._count < 2:
             return 0.0
-        warmer = self._now - self._mean
+        warmer = self.now - self._mean
         if sqrt(self._squares / self._count) >= _SPREAD:
-            return self._products / self._squares * warmer / abs(centre)
-        most = -_STEEPEST * warmer
+            slope = self._products / self._squares / abs(centre)
+            return min(max(slope, -_STEEPEST), _STEEPEST) * warmer
+        most = -_USUAL * warmer
         return min(max(change, min(most, 0.0)), max(most, 0.0))
 
 
@@ -171,22 +174,22 @@ class Segment:
 def segment(entries: Sequence[IndexedRun], notes: Sequence[Note]) -> Segment:
     """The measured runs of an axis since its last event."""
     measured = [one for one in entries if one.measured]
-    begin, text = 0, "the first run"
+    begin, text = 0, FIRST
     at = measured[0].began if measured else None
     for number, (before, one) in enumerate(pairwise(measured), 1):
         if (event := _event(before, one)) is not None:
             begin, text, at = number, event, one.began
     for note in notes:
-        behind = [n for n, one in enumerate(measured) if _is_behind(one, note)]
+        behind = [n for n, one in enumerate(measured) if is_behind(one, note)]
         first = behind[0] if behind else len(measured)
         if first >= begin:
             begin, text, at = first, f"the note '{note.text}'", note.at
     return Segment(tuple(measured[begin:]), text, at)
 
 
-def _is_behind(entry: IndexedRun, note: Note) -> bool:
+def is_behind(entry: IndexedRun, note: Note) -> bool:
     """Whether a run came after a note: in the journal's order where that tells, else by date."""
-    if note.number is not None and not entry.adopted:
+    if not note.dated and not entry.adopted:
         return entry.number > note.number
     return entry.began >= note.at
 
@@ -208,12 +211,15 @@ def _major(version: str | None) -> tuple[str, ...]:
     return tuple(parts[:1]) if parts[0] != "0" else tuple(parts[:2])
 
 
-def _like(one: IndexedRun, newest: IndexedRun) -> bool:
-    """Whether two runs were made under like conditions."""
+def _unlike(one: IndexedRun, newest: IndexedRun) -> str | None:
+    """Why two runs are not compared, in words; None where they are alike."""
     here, there = one.conditions, newest.conditions
     a, b = here.motor_temperature, there.motor_temperature
-    warm = a is b is None or (a is not None and b is not None and abs(a - b) <= _TEMPERATURE)
-    return warm and here.third == there.third
+    if (a is None) != (b is None):
+        return "of which the motor's temperature is not known" if a is None else "at a temperature"
+    if a is not None and b is not None and abs(a - b) > _TEMPERATURE:
+        return "colder" if a < b else "warmer"
+    return None if here.third == there.third else "in another third of the travel"
 
 
 # -- the chart ------------------------------------------------------------------------------------
@@ -227,18 +233,58 @@ def drift(
     `gate` : change below which there is no alarm, %
     """
     since = segment(entries, notes)
+    there = [one for one in entries if one.measured and quantity in one.quantities]
     those = [one for one in since.entries if quantity in one.quantities]
-    if not those:
+    if not there:
         return None
-    newest = those[-1]
-    unit = newest.quantities[quantity].unit
-    alike = [one for one in those if _like(one, newest) and one.quantities[quantity].unit == unit]
+    unit = (those or there)[-1].quantities[quantity].unit
+    those = [one for one in those if one.quantities[quantity].unit == unit]
+    if not those:
+        return Drift(quantity, unit, "not enough runs", since=since.at, since_text=since.text)
+    found = _as_of(those[-1], those, quantity, since, gate)
+    if found is None or found.alarm:
+        return found
+    for one in _of_other_conditions(those):
+        before = _as_of(one, those[: those.index(one) + 1], quantity, since, gate)
+        if before is None or before.state != "drifting":
+            continue
+        if before.points[0].began < found.points[0].began:
+            return before  # the last run has no baseline as old: it does not end the alarm
+    return found
+
+
+def _as_of(
+    newest: IndexedRun, those: Sequence[IndexedRun], quantity: str, since: Segment, gate: float
+) -> Drift | None:
+    """What the chart says of the runs that are like one of them."""
+    why = [_unlike(one, newest) for one in those]
+    alike = [one for one, unlike in zip(those, why, strict=True) if unlike is None]
     seen = tuple(_seen(one, quantity) for one in alike)
+    counted = Counter(unlike for unlike in why if unlike is not None)
     bare = Drift(
-        quantity, unit, "not enough runs", seen, len(those) - len(alike),
-        since=since.at, since_text=since.text, said=_said(newest),
+        quantity, newest.quantities[quantity].unit, "not enough runs", seen,
+        len(those) - len(alike), tuple(f"{count} {text}" for text, count in counted.items()),
+        since=seen[0].began if since.text == FIRST else since.at, since_text=since.text,
+        said=_said(newest) if len(seen) > 1 else (),
     )  # fmt: skip
-    return _charted(bare, gate) if len(seen) > BASELINE else _outside(bare)
+    return _charted(bare, gate) if len(seen) > BASELINE else _outside(bare, gate)
+
+
+def _of_other_conditions(those: Sequence[IndexedRun]) -> list[IndexedRun]:
+    """Of each other kind of conditions the last run, the newest first."""
+    found: list[IndexedRun] = []
+    kinds = {_kind(those[-1])}
+    for one in reversed(those):
+        if _kind(one) not in kinds:
+            kinds.add(_kind(one))
+            found.append(one)
+    return found[:_KINDS]
+
+
+def _kind(one: IndexedRun) -> tuple[int | None, int | None]:
+    """Conditions, to two kelvins."""
+    warm = one.conditions.motor_temperature
+    return None if warm is None else round(warm / 2), one.conditions.third
 
 
 def _seen(entry: IndexedRun, quantity: str) -> ValueSeen:
@@ -252,11 +298,14 @@ def _said(newest: IndexedRun) -> tuple[str, ...]:
     if seen.motor_temperature is None:
         said.append("the motor's temperature is not known, and friction falls with it")
     if seen.third is None:
-        said.append("the place in the travel is not known ('ends' of an axis file tells it)")
+        said.append(
+            "the place in the travel is not known ('ends = [low, high]' under [limits] of an axis "
+            "file tells it)"
+        )
     return tuple(said)
 
 
-def _outside(found: Drift) -> Drift:
+def _outside(found: Drift, gate: float) -> Drift:
     """Too few runs for a chart: whether the newest and the first exclude each other."""
     first, last = found.points[0], found.points[-1]
     if None in (first.low, first.high, last.low, last.high) or not first.value:
@@ -269,9 +318,17 @@ def _outside(found: Drift) -> Drift:
         return found
     change = 100 * (last.value - first.value) / abs(first.value)
     error = sqrt((last.high - last.low) ** 2 + (first.high - first.low) ** 2) / 2
+    warmth = _Warmth()
+    if first.temperature is not None and last.temperature is not None:
+        warmth.learn(first.temperature, first.value)
+        warmth.learn(first.temperature, first.value)
+        warmth.now = last.temperature
+    explained = 100 * warmth.share(change / 100, first.value)
     return replace(
         found,
         state="changed",
+        alarm=min(abs(change), abs(change - explained)) >= gate,
+        explained=explained,
         change=change,
         change_error=100 * error / abs(first.value),
         first_seen=last.began,
@@ -310,6 +367,7 @@ def _charted(found: Drift, gate: float) -> Drift | None:
     return replace(
         found,
         state="drifting" if alarm else "in control",
+        alarm=bool(alarm),
         points=tuple(seen),
         baseline=chart.baseline,
         centre=chart.centre,

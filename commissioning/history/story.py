@@ -5,21 +5,68 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from commissioning.ending import operator
-from commissioning.history.axes import NO_SERIAL, SameAxis, chosen, groups, names_of, of_names
+from commissioning.history.axes import NO_SERIAL, SameAxis, chosen, groups
 from commissioning.history.catching_up import catch_up, said_by_run
 from commissioning.history.drift import GATE, drift
 from commissioning.journal import Journal
-from commissioning.result.history import DriveFitted, IndexedRun, Note, Story
+from commissioning.result.history import (
+    DriveFitted,
+    IndexedRun,
+    Note,
+    Renamed,
+    Story,
+    name_now,
+    names_before,
+)
 from profiles.axis import axis_name
 from profiles.errors import UnknownName, UsageError
 
-__all__ = ["CHARTED", "add_note", "all_axes", "rename", "story_of"]
+__all__ = ["CHARTED", "add_note", "all_axes", "remove_note", "rename", "story_of"]
 
 CHARTED = "coulomb", "viscous", "inertia"
 _LONGEST_NOTE = 1000  # characters
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """An axis that was asked for.
+
+    `called`: as it was asked for, without a computer. `name`: now. `names`: all that it had.
+    `of_name`: all axes of this name, of this computer and others.
+    """
+
+    called: str
+    name: str
+    names: list[str]
+    axis: SameAxis
+    of_name: list[SameAxis]
+
+    @property
+    def for_notes(self) -> str:
+        """What its notes are kept by."""
+        return self.name if self.axis.is_ours else f"{self.name}@{min(self.axis.hosts)}"
+
+
+def _find(journal: Journal, asked: str) -> _Found:
+    """The axis that is called so, or NAME@COMPUTER; raises UnknownName."""
+    renamed, known = journal.renamed(), names_now(journal)
+    called, host = asked, None
+    if asked not in known and "@" in asked:
+        called, _, host = asked.rpartition("@")
+    name = called if called in known else _became(called, renamed)
+    names = names_before(name, renamed)
+    of_name = groups(
+        [o for o in _entries(journal, names) if name_now(o.axis, o.number, renamed) == name],
+        platform.node(),
+    )
+    axis = chosen(of_name, host)
+    if axis is None:
+        others = sorted(h for one in of_name for h in one.hosts)
+        raise UnknownName("axis with runs", asked, [f"{called}@{h}" for h in others] or known)
+    return _Found(called, name, names, axis, of_name)
 
 
 def story_of(journal: Journal, asked: str, *, gate: float = GATE) -> Story:
@@ -27,33 +74,56 @@ def story_of(journal: Journal, asked: str, *, gate: float = GATE) -> Story:
 
     `gate` : change below which there is no alarm, %
     """
-    known, renamed = journal.axes(), journal.renamed()
-    name, host = asked, None
-    if asked not in known and asked not in renamed and "@" in asked:
-        name, _, host = asked.rpartition("@")
-    names = names_of(name, known, renamed)
-    now = names[0]
-    entries = of_names(_entries(journal, names), names, renamed)
-    here = platform.node()
-    of_name = groups(entries, here)
-    group = chosen(of_name, host)
-    if group is None:
-        others = sorted(h for one in of_name for h in one.hosts)
-        raise UnknownName("axis", asked, [f"{name}@{h}" for h in others] or list(known))
-    notes = tuple(note for note in journal.notes(names) if _is_of(note, group, here))
-    found = (drift(group.entries, notes, quantity, gate=gate) for quantity in CHARTED)
-    drifts = tuple(one for one in found if one is not None)
-    remarks = [f"'{name}' is called '{now}' now"] if now != name else []
-    remarks += [f"it was called '{old}' before" for old in names[1:] if old in known]
-    remarks += _others(of_name, group, now) + _same_drive(journal, group, names)
-    return Story(now, group.entries, _drives(group.entries), notes, drifts, tuple(remarks))
+    found = _find(journal, asked)
+    entries, name, notes = found.axis.entries, found.name, _notes(journal, found)
+    charts = (drift(entries, notes, quantity, gate=gate) for quantity in CHARTED)
+    remarks = [f"'{found.called}' is called '{name}' now"] if name != found.called else []
+    old = dict.fromkeys(one.axis for one in entries if one.axis != name)
+    remarks += [f"it was called '{one}' before" for one in old if one != found.called]
+    remarks += _others(found.of_name, found.axis, name)
+    remarks += _same_drive(journal, found.axis, found.names)
+    return Story(
+        name, entries, _drives(entries), tuple(notes), tuple(one for one in charts if one),
+        tuple(remarks),
+    )  # fmt: skip
+
+
+def _notes(journal: Journal, found: _Found) -> list[Note]:
+    """Notes on this axis, and not on another of its name."""
+    renamed, here = journal.renamed(), platform.node()
+    theirs = [f"{found.name}@{host}" for host in found.axis.hosts]
+
+    def is_meant(note: Note) -> bool:
+        if note.axis in theirs:
+            return True
+        if name_now(note.axis, note.number, renamed) != found.name:
+            return False
+        made_here = note.host in (None, here)
+        return found.axis.is_ours if made_here else note.host in found.axis.hosts
+
+    return [note for note in journal.notes([*found.names, *theirs]) if is_meant(note)]
 
 
 def all_axes(journal: Journal, *, gate: float = GATE) -> list[Story]:
     """The history of each axis, by name."""
-    known, renamed = journal.axes(), journal.renamed()
-    names = dict.fromkeys(names_of(name, known, renamed)[0] for name in known)
-    return [story_of(journal, name, gate=gate) for name in names]
+    return [story_of(journal, name, gate=gate) for name in names_now(journal)]
+
+
+def names_now(journal: Journal) -> list[str]:
+    """What the axes that have runs are called now."""
+    renamed, known = journal.renamed(), journal.axes()
+    old = [name for name in known if any(name == one.old for one in renamed)]
+    found = set(known) - set(old)
+    found |= {name_now(name, number, renamed) for name, number in journal.named(old)}
+    return sorted(found)
+
+
+def _became(name: str, renamed: Sequence[Renamed]) -> str:
+    """What a name that no axis has any more became."""
+    for one in renamed:
+        if one.old == name:
+            name = one.new
+    return name
 
 
 def _entries(journal: Journal, names: Sequence[str]) -> list[IndexedRun]:
@@ -61,17 +131,11 @@ def _entries(journal: Journal, names: Sequence[str]) -> list[IndexedRun]:
     entries, lacking = journal.entries(names)
     if not lacking:
         return entries
-    if catch_up(lacking):
+    if catch_up(lacking) is not None:
         with Journal(journal.folder, reading=True) as again:
             entries, lacking = again.entries(names)
     without = set(lacking)
     return [said_by_run(journal, one) if one.run in without else one for one in entries]
-
-
-def _is_of(note: Note, group: SameAxis, here: str) -> bool:
-    """Whether a note is on this axis, and not on another of its name."""
-    made_here = note.host in (None, here)
-    return (made_here and group.is_ours) or note.host in group.hosts
 
 
 def _drives(entries: Sequence[IndexedRun]) -> tuple[DriveFitted, ...]:
@@ -102,8 +166,8 @@ def _others(of_name: Sequence[SameAxis], group: SameAxis, name: str) -> list[str
 def _same_drive(journal: Journal, group: SameAxis, names: Sequence[str]) -> list[str]:
     """Other names under which the drive of the last run was measured."""
     serial = group.entries[-1].serial
-    if serial in NO_SERIAL:
-        return []
+    if serial in NO_SERIAL or group.entries[-1].link.startswith("virtual://"):
+        return []  # virtual drives of the same options are the same
     others = [one for one in journal.names_of_drives([serial]).get(serial, []) if one not in names]
     return [
         f"its drive {serial} was measured as axis '{other}', too: if that is this axis, 'tworelay "
@@ -120,25 +184,50 @@ def add_note(journal: Journal, axis: str, text: str, at: float | None) -> Note:
     text = " ".join(text.split())
     if not text or len(text) > _LONGEST_NOTE or not text.isprintable():
         raise UsageError(f"a note has 1 to {_LONGEST_NOTE} printable characters")
-    known, renamed = journal.axes(), journal.renamed()
-    names = names_of(axis, known, renamed)
-    if not any(name in known for name in names):
-        raise UnknownName("axis with runs", axis, list(known))
-    number = journal.last_number() if at is None else None
-    moment = time.time() if at is None else at
-    note = Note(names[0], moment, text, operator(), platform.node() or None, number)
+    found = _find(journal, axis)
+    moment = time.time()
+    if at is not None and at > moment:
+        raise UsageError("a note is of what was done, and its date lies in the future")
+    note = Note(
+        found.for_notes, moment if at is None else at, text, operator(), platform.node() or None,
+        journal.last_number(), at is not None,
+    )  # fmt: skip
     journal.note_on(note)
     return note
 
 
-def rename(journal: Journal, old: str, new: str) -> None:
-    """The axis that was called `old` is called `new`; raises UsageError, UnknownName."""
-    known, renamed = journal.axes(), journal.renamed()
-    if old not in known:
-        raise UnknownName("axis with runs", old, list(known))
-    if names_of(old, known, renamed)[0] == new:
-        raise UsageError(f"'{old}' is called '{new}' already")
+def remove_note(journal: Journal, axis: str, text: str) -> str:
+    """Take back a note; returns the axis' name. Raises UsageError."""
+    found = _find(journal, axis)
+    there = _notes(journal, found)
+    text = " ".join(text.split())
+    if text not in [note.text for note in there]:
+        known = dict.fromkeys(note.text for note in there)
+        raise UnknownName(f"note on axis '{found.name}'", text, list(known))
+    journal.remove_note([*found.names, found.for_notes], text)
+    return found.name
+
+
+def rename(journal: Journal, old: str, new: str, *, join: bool) -> None:
+    """The axis that was called `old` is called `new`; raises UsageError, UnknownName.
+
+    `join` : also where `new` has runs already, and both become one for good
+    """
+    found = _find(journal, old)
+    if not found.axis.is_ours:
+        raise UsageError(f"'{old}' is an axis of another computer: it is renamed there")
     try:
-        journal.rename(old, axis_name(new))
+        axis_name(new)
     except ValueError as error:
         raise UsageError(f"the new name '{new:.100}' {error}") from None
+    if found.name == new:
+        raise UsageError(f"'{old}' is called '{new}' already")
+    if new in names_now(journal) and not join:
+        there = _find(journal, new).axis
+        drives = {one.serial for one in found.axis.entries} - set(NO_SERIAL)
+        if not drives & {one.serial for one in there.entries}:
+            raise UsageError(
+                f"there is an axis '{new}', with another drive: with --join its runs and those of "
+                f"'{found.name}' become one history"
+            )
+    journal.rename(found.name, new)

@@ -8,9 +8,11 @@ from dataclasses import astuple, fields
 from datetime import datetime
 from itertools import pairwise
 
+from commissioning.history.drift import BASELINE, FIRST, is_behind
 from commissioning.result.experiment import Conditions
 from commissioning.result.history import INDEXED, Drift, IndexedRun, Note, Story
-from profiles.plain import plain
+from commissioning.result.words import percent
+from profiles.plain import harmless_cell
 
 __all__ = ["LABELS", "csv_text", "day", "drift_words", "events"]
 
@@ -27,41 +29,44 @@ def day(instant: float) -> str:
 def drift_words(axis: str, found: Drift) -> str:
     """What a chart says, in the words of maintenance."""
     of = f"{LABELS.get(found.quantity, found.quantity)} of {axis}"
-    since = _since(found)
-    alone = "" if found.since_text == "the first run" else f" {since}"
-    count = len(found.points)
-    out = f" ({found.left_out} more under other conditions)" if found.left_out else ""
+    since, count = _since(found), len(found.points)
+    out = f"; left out: {', '.join(found.why_left_out)}" if found.why_left_out else ""
+    if not count:
+        return f"{of}: no run {since}"
     if found.state == "not enough runs":
+        if count == 1:
+            alone = "" if found.since_text == FIRST else f" {since}"
+            return f"{of}: one run{alone}, nothing to compare it with{out}"
         return (
-            f"{of}: {count} run(s) under like conditions {since}{out}; a chart needs more than 20, "
-            "and till then the intervals of the first and the last are compared: they overlap"
-            if count > 1
-            else f"{of}: one run{alone}{out}: nothing to compare it with"
+            f"{of}: no change that can be told, by {count} runs {since} (a chart needs more than "
+            f"{BASELINE}){out}"
         )
-    change = f"{found.change:+.2g} % ± {found.change_error:.2g} %"
-    if found.state == "changed":
-        return (
-            f"{of}: {change} {since}, seen on {day(found.first_seen or 0)}: outside both "
-            f"intervals, of {count} run(s){out}; too few for a chart"
-        )
+    change = f"{percent(found.change or 0)} ± {found.change_error:.2g} %"
     warm = ""
     if found.explained is not None and abs(found.explained) >= 1:
-        warm = f"; the temperature explains {found.explained:+.2g} %"
+        warm = f"; the temperature explains {percent(found.explained)}"
+    if found.state == "changed":
+        small = "" if found.alarm else ", which is no alarm"
+        return (
+            f"{of}: {change} {since}, seen on {day(found.first_seen or 0)}: the last run is "
+            f"outside both intervals{small}; {count} runs are too few for a chart{out}{warm}"
+        )
     if found.state == "in control":
-        like = f"by {count} run(s) under like conditions"
-        return f"{of}: in control, {change} {since}, {like}{out}{warm}"
+        return (
+            f"{of}: in control, {change} {since}, by {count} runs under like conditions{out}{warm}"
+        )
     return f"{of}: {change} {since}, seen first on {day(found.first_seen or 0)}{out}{warm}"
 
 
 def _since(found: Drift) -> str:
+    """Since when, and what."""
     if found.since is None:
         return ""
-    if found.since_text.startswith("the "):
-        joint = "of" if found.since_text.startswith("the note") else "on"
-        if found.since_text.startswith("the drive") or found.since_text.startswith("the method"):
-            return f"since {found.since_text} on {day(found.since)}"
-        return f"since {found.since_text} {joint} {day(found.since)}"
-    return f"since {found.since_text} on {day(found.since)}"
+    when = day(found.since)
+    if found.since_text == FIRST:
+        return f"since {when}"
+    joint = "of" if found.since_text.startswith("the note") else "on"
+    return f"since {found.since_text} {joint} {when}"
 
 
 def events(story: Story) -> list[tuple[int, float, str]]:
@@ -81,10 +86,7 @@ def events(story: Story) -> list[tuple[int, float, str]]:
 def _place(entries: tuple[IndexedRun, ...], note: Note) -> int:
     """Before which run a note stands."""
     for number, one in enumerate(entries):
-        if note.number is not None and not one.adopted:
-            if one.number > note.number:
-                return number
-        elif one.began >= note.at:
+        if is_behind(one, note):
             return number
     return len(entries)
 
@@ -98,16 +100,16 @@ def csv_text(story: Story) -> str:
         head += [f"{name}{unit}", f"{name}_low{unit}", f"{name}_high{unit}"]
     head += [*_CONDITIONS, "text"]
     stream = io.StringIO()
-    writer = csv.writer(stream)
+    writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(head)
     happened = events(story)
     for number, one in enumerate((*story.entries, None)):
         for _, at, text in (event for event in happened if event[0] == number):
             kind = "note" if text.startswith("note") else "drive"
             row = [kind, _iso(at), story.axis, *[""] * (len(head) - 4), text]
-            writer.writerow([_harmless(cell) for cell in row])
+            writer.writerow([harmless_cell(cell) for cell in row])
         if one is not None:
-            writer.writerow([_harmless(cell) for cell in _row(one)])
+            writer.writerow([harmless_cell(cell) for cell in _row(one)])
     return stream.getvalue()
 
 
@@ -126,10 +128,3 @@ def _row(one: IndexedRun) -> list[str]:
 
 def _iso(instant: float) -> str:
     return datetime.fromtimestamp(instant).astimezone().isoformat(timespec="seconds")
-
-
-def _harmless(cell: str) -> str:
-    """A text that no spreadsheet takes for a formula."""
-    text = plain(cell)
-    is_formula = text[:1] in ("=", "+", "@") or (text[:1] == "-" and not text[1:2].isdigit())
-    return f"'{text}" if is_formula else text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
@@ -19,9 +20,12 @@ __all__ = [
     "DriveFitted",
     "IndexedRun",
     "Note",
+    "Renamed",
     "Story",
     "ValueSeen",
     "conditions_of",
+    "name_now",
+    "names_before",
     "numbers_of",
 ]
 
@@ -82,8 +86,9 @@ class Note:
 
     Attributes
     ----------
-    number : run of this computer that was the last one then; None: its date tells its place
     at : s since 1970
+    number : place of the last run of this computer when the note was made
+    dated : its date tells its place among the runs, and not `number`
     who, host : None where the system did not tell
     """
 
@@ -92,7 +97,34 @@ class Note:
     text: str
     who: str | None = None
     host: str | None = None
-    number: int | None = None
+    number: int = 0
+    dated: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Renamed:
+    """An axis got another name after the run of this place."""
+
+    old: str
+    new: str
+    number: int
+
+
+def name_now(name: str, number: int, renamed: Iterable[Renamed]) -> str:
+    """What the axis of a run is called now, by the run's own name and place."""
+    for one in renamed:
+        if one.old == name and number <= one.number:
+            name = one.new
+    return name
+
+
+def names_before(name: str, renamed: Iterable[Renamed]) -> list[str]:
+    """All names under which there may be runs of an axis, the present one first."""
+    found = [name]
+    for one in reversed(list(renamed)):
+        if one.new in found and one.old not in found:
+            found.append(one.old)
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +164,9 @@ class Drift:
     state : 'in control' | 'drifting' | 'changed' (fewer runs than a chart needs: outside both
         intervals) | 'not enough runs'
     points : runs that are compared, in their order
-    left_out : runs behind the same event under other conditions, or whose numbers cannot be used
+    left_out : runs behind the same event under other conditions
+    why_left_out : how many for which reason, in words
+    alarm : it is drifting; or it has changed, by the gate at least, and no temperature explains it
     baseline : runs that made the centre
     centre : mean of the baseline, SI
     sigma : standard deviation of one run about it, SI
@@ -149,6 +183,8 @@ class Drift:
     state: Literal["in control", "drifting", "changed", "not enough runs"]
     points: tuple[ValueSeen, ...] = ()
     left_out: int = 0
+    why_left_out: tuple[str, ...] = ()
+    alarm: bool = False
     baseline: int = 0
     centre: float | None = None
     sigma: float | None = None

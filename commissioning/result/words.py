@@ -30,6 +30,7 @@ __all__ = [
     "measured",
     "nothing_proposed",
     "number",
+    "percent",
     "remaining",
     "unit",
     "why_not",
@@ -101,6 +102,13 @@ def duration(value: float | None) -> str:
     if value is None:
         return "never"
     return f"{value:.2f} s" if value >= 1 else f"{1000 * value:.0f} ms"
+
+
+def percent(change: float) -> str:
+    """A change, to a tenth of a percent or two digits."""
+    if abs(change) < 0.05:
+        return "±0.0 %"
+    return f"{change:+.1f} %" if abs(change) < 10 else f"{change:+.0f} %"
 
 
 def remaining(value: float) -> str:

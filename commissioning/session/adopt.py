@@ -17,7 +17,7 @@ from commissioning.result.document import RunResult
 from commissioning.runs import RunFolder, resolve
 from commissioning.session.named import axis_of_run
 from drivers.link import check_files_of_others
-from profiles.axis import Axis
+from profiles.axis import Axis, axis_name
 from profiles.commands import commands_of
 from profiles.errors import ProfileError, Refused, TwoRelayError, UnknownName, UsageError
 from profiles.library import load_profile, source_text
@@ -40,6 +40,8 @@ class Adopted:
     run, axis, serial : as the run says; what the axis says scales torques and positions
     profile : the one known here
     intents : what it wrote, by its journal
+    named : what its axis is called now
+    notes : on that axis, that are not known here
     """
 
     run: str
@@ -47,6 +49,8 @@ class Adopted:
     serial: str
     profile: Profile
     intents: tuple[Intent, ...]
+    named: str
+    notes: tuple[str, ...]
 
 
 def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted], None]) -> str:
@@ -68,9 +72,7 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
         raise UsageError(f"{path}: '{run:.100}' is no id of a run")
     known = desk.journal.known_as(record)
     if known is not None:
-        new = sum(desk.journal.note_on(note) for note in history.notes)
-        notes = f"{new} note(s) on its axis were" if new else "nothing was"
-        desk.tell(f"run {known} is known here: {notes} taken in")
+        _notes_alone(history, known, desk)
         return known
     here = desk.journal.free_id(run)
     target, result = RunFolder.of(desk.journal, here), folder.result()
@@ -103,7 +105,10 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
             code="adopt.differs",
         )
     samples = folder.samples()
-    show(Adopted(run, axis, record.serial, own, history.intents))
+    called = _named(history, path)
+    now = replace(history, run=replace(record, axis=called))
+    notes = tuple(note.text for note in desk.journal.new_notes(now))
+    show(Adopted(run, axis, record.serial, own, history.intents, called, notes))
     if here != run:
         desk.tell(f"another run here has the id {run}: this one will be called {here}")
     desk.agree(
@@ -112,8 +117,39 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
         record.axis,
         "it was not taken in",
     )
-    target.save(replace(result, run=here, written=()), samples, source_text(name))
-    return desk.journal.adopt(replace(history, run=replace(record, id=here)))
+    context = replace(
+        record.context, axis=axis.model_copy(update={"name": called}).model_dump_json()
+    )
+    result = replace(result, run=here, axis=called, written=())
+    target.save(result, samples, source_text(name))
+    taken = replace(record, id=here, axis=called, context=context)
+    return desk.journal.adopt(replace(history, run=taken))
+
+
+def _named(history: History, path: Path) -> str:
+    """What the axis is called where the run comes from; raises UsageError."""
+    try:
+        return axis_name(history.named or history.run.axis)
+    except ValueError as error:
+        raise UsageError(f"{path}: the name of its axis {error}") from None
+
+
+def _notes_alone(history: History, known: str, desk: Desk) -> None:
+    """Take in the notes on the axis of a run that is known, once that is agreed."""
+    axis = desk.journal.run(known).axis
+    notes = desk.journal.new_notes(replace(history, run=replace(history.run, axis=axis)))
+    if not notes:
+        desk.tell(f"run {known} is known here: nothing was taken in")
+        return
+    texts = "; ".join(note.text for note in notes[:_SHOWN])
+    desk.agree(
+        f"Run {known} is known here. {len(notes)} note(s) on axis '{axis}' will be TAKEN IN, and "
+        f"its drift is counted from the last of them: {texts}",
+        axis,
+        "no note was taken in",
+    )
+    for note in notes:
+        desk.journal.note_on(note)
 
 
 @dataclass(frozen=True, slots=True)

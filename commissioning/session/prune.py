@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import time
 from dataclasses import dataclass
@@ -37,6 +38,12 @@ def _size(folder: Path) -> int | None:
     if not folder.is_dir():
         return None
     return sum(path.lstat().st_size for path in folder.rglob("*"))
+
+
+def _keep_numbers(run: str, desk: Desk) -> None:
+    """The index has what the run measured, before its files go."""
+    with contextlib.suppress(UsageError):
+        desk.journal.index(run, RunFolder.of(desk.journal, run).result())
 
 
 def prune(before: float, desk: Desk, *, dry_run: bool) -> Pruned:
@@ -76,6 +83,7 @@ def prune(before: float, desk: Desk, *, dry_run: bool) -> Pruned:
         "nothing was deleted",
     )
     for run in runs:
+        _keep_numbers(run, desk)
         try:
             shutil.rmtree(RunFolder.of(desk.journal, run).path)
         except OSError as error:

@@ -6,10 +6,11 @@ axis, position 1/E times, with E = 2π/(travel per revolution).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot
 from pathlib import Path
+from typing import Literal
 
 from commissioning.journal import Journal
 from commissioning.journal_file import slug
@@ -24,15 +25,16 @@ from drivers.link_text import Link, parse
 from drivers.virtual.axes import VirtualAxis, configured
 from drivers.virtual.memory import Memory
 from drivers.virtual.served import FIRST_NODE, FIRST_UNIT, ServedDrive
-from profiles.axis import Axis
+from profiles.axis import LONGEST_NAME, Axis
 from profiles.errors import Refused, UsageError
 from profiles.library import load_profile
 from profiles.schema import Profile
 
-__all__ = ["MeasuredTwin", "measured_twin", "twin_of_run"]
+__all__ = ["MeasuredTwin", "measured_twin", "numbered", "twin_of_run"]
 
 Ask = Callable[[str, str], float | None]  # what, its unit → SI at the motor; None: nobody is there
 
+_TWIN = " (twin)"
 _PEAK = 3.0  # times rated, of a drive whose run does not tell it
 _WHAT = {
     "inertia": ("inertia of motor and load", "kg.m2"),
@@ -64,16 +66,22 @@ class MeasuredTwin:
     said: tuple[str, ...]
     link: Link
 
-    def served(self, number: int, state: Path | None) -> ServedDrive:
-        """As the `number`-th drive of a bus, from 0; with the unit or node that it had."""
-        memory = state or home() / "virtual" / f"{slug(self.axis.name)}-{self.axis.serial:08x}.json"
-        return ServedDrive(
-            self.axis,
-            Memory.at(memory),
-            self.link.integer("unit", 1, 247) or FIRST_UNIT + number,
-            self.link.integer("node", 1, 127) or FIRST_NODE + number,
-            self.profile,
-        )
+    def served(self, unit: int, node: int, number: int, state: Path | None) -> ServedDrive:
+        """As the `number`-th of the session, from 0: another drive than an equal one before it."""
+        axis = replace(self.axis, seed=self.axis.seed + number)
+        memory = state or home() / "virtual" / f"{slug(axis.name)}-{axis.serial:08x}.json"
+        return ServedDrive(axis, Memory.at(memory), unit, node, self.profile)
+
+
+def numbered(twins: Sequence[MeasuredTwin], key: Literal["unit", "node"]) -> list[int]:
+    """The unit or node of each: the run's own, where no twin before it has that."""
+    found: list[int] = []
+    first, last = (FIRST_UNIT, 247) if key == "unit" else (FIRST_NODE, 127)
+    for one in twins:
+        own = one.link.integer(key, 1, last)
+        free = (n for n in range(first, last + 1) if n not in found)
+        found.append(own if own is not None and own not in found else next(free))
+    return found
 
 
 def measured_twin(journal: Journal, run: str, given: Mapping[str, str], ask: Ask) -> MeasuredTwin:
@@ -124,7 +132,9 @@ def twin_of_run(
                 )
             options[name] = repr(float(value))
             said[name] = f"{what}: {value:g} {unit}, as given"
-    profile = _profile(folder)
+    profile = _profile(folder, said)
+    if axis.limits.ends is not None:
+        said["ends"] = "the ends of its travel: left out, the twin starts at 0"
     virtual = configured("bench", _with_peak(options, said))
     virtual = replace(
         virtual, name=axis.name, title=f"Twin of run {result.run}",
@@ -139,9 +149,10 @@ def twin_of_run(
     )
 
 
-def _profile(folder: RunFolder) -> Profile | None:
+def _profile(folder: RunFolder, said: dict[str, str]) -> Profile | None:
     path = folder.profile_path()
     if not path.exists():
+        said["profile"] = "profile: not in the run's folder; the virtual drive's own"
         return None
     profile = load_profile(str(path), lenient=True)
     return None if profile.name.startswith("virtual-") else profile
@@ -152,8 +163,18 @@ def _file(axis: Axis, result: RunResult, profile: Profile | None) -> Axis:
     travel = axis.travel
     if travel is None and result.experiment is not None and result.experiment.limits is not None:
         travel = result.experiment.limits.travel
-    name = None if profile is None else profile.name
-    return axis.model_copy(update={"link": None, "profile": name, "travel": travel})
+    return axis.model_copy(
+        update={
+            "name": _twin_name(axis.name), "link": None, "travel": travel,
+            "profile": None if profile is None else profile.name,
+            "limits": axis.limits.model_copy(update={"ends": None}),
+        }
+    )  # fmt: skip
+
+
+def _twin_name(name: str) -> str:
+    """A name of its own: what the twin measures is not of the axis."""
+    return f"{name[: LONGEST_NAME - len(_TWIN)].rstrip()}{_TWIN}"
 
 
 def _with_peak(options: Mapping[str, str], said: dict[str, str]) -> dict[str, str]:

@@ -73,3 +73,27 @@ def test_a_file_that_cannot_be_written_is_seen_before(tworelay: Tworelay, tmp_pa
     assert done.returncode == 2
     assert "--junit" in done.stderr
     assert not (tmp_path / "home" / "runs").exists()
+
+
+def test_no_old_file_stays_when_the_command_was_not_understood(
+    tworelay: Tworelay, tmp_path: Path
+) -> None:
+    file = tmp_path / "act.xml"
+    assert tworelay("identify", "virtual://bench", "--yes", "--junit", str(file)).returncode == 0
+    for junit in (("--junit", str(file)), (f"--junit={file}",)):
+        done = tworelay("identify", "virtual://bench", "--travl", "3", *junit)
+        assert done.returncode == 2
+        message = case_of(file).find("error").get("message")  # type: ignore[union-attr]
+        assert message is not None
+        assert "--travl" in message
+        file.write_text("old")
+
+
+def test_a_dry_run_is_skipped_and_standard_output_is_no_file(
+    tworelay: Tworelay, tmp_path: Path
+) -> None:
+    file = tmp_path / "act.xml"
+    tworelay("identify", "virtual://bench", "--dry-run", "--junit", str(file))
+    assert case_of(file).find("skipped") is not None
+    done = tworelay("identify", "virtual://bench", "--yes", "--junit", "-")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)

@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
-from commissioning.history.axes import chosen, groups, in_order, names_of, of_names
+from commissioning.history.axes import chosen, groups, in_order
+from commissioning.result.history import Renamed, name_now, names_before
 from tests.history.made import DAY, MARCH_3, run
 
 
 def test_an_axis_keeps_its_runs_under_all_its_names() -> None:
-    renamed = {"a": ("b", 5), "b": ("c", 9)}
-    known = {"a": 4, "b": 8}
-    assert names_of("a", known, renamed) == ["c", "b", "a"]
-    assert names_of("c", known, renamed) == ["c", "b", "a"]
-    assert names_of("z", known, renamed) == ["z"]
+    renamed = [Renamed("a", "b", 5), Renamed("b", "c", 9)]
+    assert [name_now(*one, renamed) for one in (("a", 4), ("b", 8), ("c", 10))] == ["c"] * 3
+    assert set(names_before("c", renamed)) == {"a", "b", "c"}
+    assert names_before("z", renamed) == ["z"]
 
 
 def test_a_name_that_is_given_again_is_another_axis() -> None:
-    renamed = {"a": ("b", 5)}
-    known = {"a": 7, "b": 6}
-    assert names_of("a", known, renamed) == ["a"]
-    entries = [run(n, 0.1, axis="a") for n in (3, 4, 7)] + [run(6, 0.1, axis="b")]
-    assert [one.number for one in of_names(entries, ["b", "a"], renamed)] == [3, 4, 6]
-    assert [one.number for one in of_names(entries, ["a"], renamed)] == [7]
+    renamed = [Renamed("a", "b", 5)]
+    assert name_now("a", 5, renamed) == "b"
+    assert name_now("a", 6, renamed) == "a"
 
 
-def test_names_that_go_round_end() -> None:
-    assert names_of("a", {}, {"a": ("b", 1), "b": ("a", 2)}) == ["b", "a"]
+def test_two_axes_change_names_by_a_third() -> None:
+    renamed = [Renamed("a", "t", 5), Renamed("b", "a", 5), Renamed("t", "b", 5)]
+    assert (name_now("a", 1, renamed), name_now("b", 2, renamed)) == ("b", "a")
+    assert set(names_before("a", renamed)) >= {"a", "b"}
+
+
+def test_what_is_renamed_back_is_what_it_was() -> None:
+    renamed = [Renamed("a", "b", 5), Renamed("b", "a", 5)]
+    assert name_now("a", 1, renamed) == "a"
+    assert name_now("a", 6, renamed) == "a"
 
 
 def test_two_computers_with_one_axis_name_have_two_axes() -> None:

@@ -236,7 +236,7 @@ def test_a_minor_version_ends_nothing() -> None:
 def test_a_note_ends_the_baseline(by_date: bool) -> None:
     entries = changed()
     last = entries[29]
-    note = Note("x", last.began + DAY, "new belt", number=None if by_date else last.number)
+    note = Note("x", last.began + DAY, "new belt", number=last.number, dated=by_date)
     found = drift(entries, [note], "coulomb")
     assert found is not None
     assert found.state == "not enough runs"
@@ -246,8 +246,50 @@ def test_a_note_ends_the_baseline(by_date: bool) -> None:
 
 def test_a_note_behind_the_last_run_leaves_nothing_to_compare() -> None:
     entries = changed()
-    note = Note("x", entries[-1].began + DAY, "new belt")
-    assert drift(entries, [note], "coulomb") is None
+    note = Note("x", entries[-1].began + DAY, "new belt", dated=True)
+    found = drift(entries, [note], "coulomb")
+    assert found is not None
+    assert found.points == ()
+    assert drift_words("x", found).startswith("friction of x: no run since the note 'new belt'")
+
+
+def at(temperature: float | None) -> Conditions:
+    return Conditions(motor_temperature=temperature, third=1)
+
+
+@pytest.mark.parametrize("last", [18.0, None, 60.0])
+def test_an_alarm_stays_when_the_next_run_is_made_under_other_conditions(
+    last: float | None,
+) -> None:
+    healthy = [run(n, v, conditions=at(30.0)) for n, v in enumerate(noisy(25), 1)]
+    worn = [
+        run(n, v, conditions=at(26.0)) for n, v in enumerate(noisy(26, 0.15, 5), len(healthy) + 1)
+    ]
+    seen = drift([*healthy, *worn], [], "coulomb")
+    assert seen is not None
+    assert seen.alarm
+    later = drift([*healthy, *worn, run(99, 0.15, conditions=at(last))], [], "coulomb")
+    assert later is not None
+    assert later.alarm
+    assert later.change == seen.change
+
+
+def test_a_baseline_of_noise_does_not_tell_what_the_temperature_does() -> None:
+    """Baselines of 5 % scatter over 2 K, then a third more friction at 9 K less."""
+    missed = 0
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        warm = 40 + 2.2 * random.standard_normal(40)
+        values = 0.1 * (1 + 0.05 * random.standard_normal(40))
+        entries = [
+            run(n, float(v), conditions=at(float(w)))
+            for n, (v, w) in enumerate(zip(values, warm, strict=True), 1)
+        ]
+        entries += [run(50 + n, 0.13, conditions=at(33.0)) for n in range(12)]
+        found = drift(entries, [], "coulomb")
+        assert found is not None
+        missed += not found.alarm
+    assert missed <= 2
 
 
 @pytest.mark.parametrize(

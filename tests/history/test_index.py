@@ -29,7 +29,7 @@ OF_0_1 = [name for name in NAMES if recorded(name)[0].quality.verdict in ("good"
 
 def begun(journal: Journal, axis: str = "x", serial: str = "0x1") -> str:
     return journal.begin(
-        axis=axis, link="virtual://bench", profile="p", profile_hash="h", serial=serial,
+        axis=axis, link="modbus-tcp://127.0.0.1:502", profile="p", profile_hash="h", serial=serial,
         context=RunContext("{}"),
     )  # fmt: skip
 
@@ -38,6 +38,12 @@ def saved(journal: Journal, result: RunResult, axis: str = "x") -> str:
     run = begun(journal, axis)
     RunFolder.of(journal, run).save(replace(result, run=run, axis=axis))
     return run
+
+
+def forget(journal: Journal) -> None:
+    """As an older version left it."""
+    for table in ("indexed", "results", "conditions"):
+        journal._db.execute(f"DELETE FROM {table}")
 
 
 @pytest.mark.parametrize("name", OF_0_1)
@@ -77,6 +83,8 @@ HARM = {
     "a digest": "UPDATE indexed SET digest = NULL",
     "rows gone": "DELETE FROM indexed",
     "a table gone": "DROP TABLE results",
+    "no text": "UPDATE results SET quantity = CAST(x'ff' AS TEXT) WHERE quantity = 'coulomb' "
+    "AND run = (SELECT MAX(run) FROM results)",
     "another table": "DROP TABLE results; CREATE TABLE results (a, b)",
     "conditions of another shape": "DROP TABLE conditions; CREATE TABLE conditions (run)",
 }
@@ -95,7 +103,7 @@ def test_a_damaged_index_is_made_anew_from_the_runs(
         db.executescript(HARM[harm])
     db.close()
     if readable:  # as where the disk is read-only
-        monkeypatch.setattr("commissioning.history.story.catch_up", lambda runs: False)
+        monkeypatch.setattr("commissioning.history.story.catch_up", lambda runs: None)
     with Journal(home(), reading=True) as journal:
         story = story_of(journal, "x")
     assert [one.quantities for one in story.entries] == [one.quantities for one in before]
@@ -109,7 +117,7 @@ def test_a_damaged_index_is_made_anew_from_the_runs(
 def test_runs_of_an_older_version_are_indexed_once(tworelay: Tworelay) -> None:
     with Journal(home()) as journal:
         run = saved(journal, recorded(OF_0_1[0])[0])
-        journal.clear_index()
+        forget(journal)
         assert journal.not_indexed() == [run]
     shown = json.loads(tworelay("history", "x", "--json").stdout)
     assert shown["runs"][0]["quantities"]["coulomb"]["value"]
@@ -117,22 +125,51 @@ def test_runs_of_an_older_version_are_indexed_once(tworelay: Tworelay) -> None:
         assert journal.not_indexed() == []
 
 
-def test_numbers_outlive_the_files(tworelay: Tworelay) -> None:
+def test_a_run_that_was_just_measured_is_sound_in_the_index(tworelay: Tworelay) -> None:
+    tworelay("identify", "virtual://bench", "--yes")
+    with Journal(home(), reading=True) as journal:
+        (entry,), damaged = journal.entries(["bench"])
+    assert not damaged
+    assert entry.method == "modulating"
+    assert entry.conditions.motor_temperature == 25.0
+    assert entry.host
+
+
+@pytest.mark.parametrize("before", ["sound", "of an older version", "conditions lost"])
+def test_numbers_outlive_the_files(before: str, tworelay: Tworelay) -> None:
+    tworelay("identify", "virtual://bench", "--yes")
     with Journal(home()) as journal:
-        run = saved(journal, recorded(OF_0_1[0])[0])
+        if before == "of an older version":
+            forget(journal)
     assert tworelay("history", "prune", "--before", "0d", "--yes").returncode == 0
-    assert not (home() / "runs" / run).exists()
-    for words in (("history", "x", "--json"), ("history", "reindex"), ("history", "x", "--json")):
+    assert not list((home() / "runs").iterdir())
+    if before == "conditions lost":
+        with Journal(home()) as journal:
+            journal._db.execute("DROP TABLE conditions")
+    for words in (("history", "bench"), ("history", "reindex"), ("history", "bench", "--json")):
         done = tworelay(*words)
         assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["runs"][0]["quantities"]["coulomb"]["value"]
+    (run,) = json.loads(done.stdout)["runs"]
+    assert run["quantities"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.01)
+    assert "0.1" in tworelay("history").stdout
+
+
+def test_a_run_whose_file_is_damaged_keeps_its_numbers(tworelay: Tworelay) -> None:
+    tworelay("identify", "virtual://bench", "--yes")
+    (folder,) = (home() / "runs").iterdir()
+    (folder / "run.json").write_text("{")
+    done = tworelay("history", "reindex")
+    assert "0 runs indexed; 1 have no files that can be read" in done.stdout
+    (run,) = json.loads(tworelay("history", "bench", "--json").stdout)["runs"]
+    assert run["verdict"] == "files damaged"
+    assert run["quantities"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.01)
 
 
 def test_files_that_are_missing_are_told_and_end_nothing(tworelay: Tworelay) -> None:
     with Journal(home()) as journal:
         run = saved(journal, recorded(OF_0_1[0])[0])
         saved(journal, recorded(OF_0_1[1])[0])
-        journal.clear_index()
+        forget(journal)
     shutil.rmtree(home() / "runs" / run)
     shown = json.loads(tworelay("history", "x", "--json").stdout)["runs"]
     assert shown[0]["verdict"] == "files missing"
@@ -164,9 +201,9 @@ def test_any_order_of_indexing_gives_the_same(seed: int) -> None:
     with Journal(home()) as journal:
         made = [saved(journal, recorded(name)[0]) for name in OF_0_1]
         before = journal.entries(["x"])
-        journal.clear_index()
+        forget(journal)
         runs = list(made)
         shuffled.shuffle(runs)
-    assert catch_up(runs)
+    assert catch_up(runs) == len(runs)
     with Journal(home(), reading=True) as journal:
         assert journal.entries(["x"]) == before

@@ -15,9 +15,9 @@ from commissioning.result.experiment import Conditions
 from commissioning.result.found import DriveTrain, Found, Quantity
 from commissioning.result.readings import LawReading, Methods, ModulatingReading
 from commissioning.runs import RunFolder, resolve
-from commissioning.session.twin import MeasuredTwin, twin_of_run
+from commissioning.session.twin import MeasuredTwin, numbered, twin_of_run
 from drivers.home import home
-from profiles.axis import Axis, Mechanics, load_axis
+from profiles.axis import Axis, AxisLimits, Mechanics, load_axis
 from profiles.errors import Refused, UsageError
 from tests.conftest import Serve, Tworelay
 from tests.result.test_codec import recorded
@@ -178,6 +178,22 @@ def test_a_friction_that_rises_with_the_speed_has_a_twin(good: RunResult) -> Non
     axis.build()
 
 
+def test_a_twin_is_another_axis_and_starts_where_it_may(good: RunResult) -> None:
+    ends = AxisLimits(ends=(10.0, 20.0))
+    twin = made(good, Axis(name="x" * 100, limits=ends))
+    assert twin.file.name == "x" * 93 + " (twin)"
+    assert twin.file.limits.ends is None
+    assert any("ends of its travel" in line for line in twin.said)
+    assert any("profile" in line for line in twin.said)
+
+
+def test_several_twins_of_one_unit_are_numbered(good: RunResult) -> None:
+    twins = [made(good, Axis(link=f"modbus-tcp://a{n}?unit=3")) for n in range(3)]
+    assert numbered(twins, "unit") == [3, 1, 2]
+    drives = [one.served(n, n, n, None) for n, one in enumerate(twins)]
+    assert len({one.axis.serial for one in drives}) == 3
+
+
 # -- as a user types it ---------------------------------------------------------------------------
 
 
@@ -192,6 +208,7 @@ def test_a_friction_that_rises_with_the_speed_has_a_twin(good: RunResult) -> Non
         (("--from", "last", "--set", "inertia"), 2, "must be NAME=VALUE"),
         (("--from", "last", "--from", "last", "--axis-file", "a.toml"), 2, "do not go into one"),
         (("bench", "--modbus-tcp", "0", "--axis-file", "a.toml"), 2, "belongs to --from"),
+        (("--from", "last", "--axis-file", "README.md"), 2, "is there already"),
     ],
 )
 def test_what_cannot_be_served(

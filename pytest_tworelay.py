@@ -161,11 +161,13 @@ class VirtualDrive:
     ----------
     name : of its axis
     links : LINKs that lead to it, one a wire
+    profile : of the drive whose twin it is; for `identify`, where that cannot find it: --profile
     """
 
     name: str
     links: list[str]
     process: subprocess.Popen[bytes]
+    profile: str | None = None
 
     @property
     def link(self) -> str:
@@ -285,7 +287,9 @@ def virtual_drive(_server: _Server) -> Callable[..., VirtualDrive]:
         if wire is not None:
             words += [wire, "pty" if wire in ("--slcan", "--modbus-rtu") else "127.0.0.1:0"]
         words += ["--profile", profile] if profile is not None else []
-        return _server.start([*words, "--clock", clock, *options])[0]
+        drive = _server.start([*words, "--clock", clock, *options])[0]
+        drive.profile = profile
+        return drive
 
     return served
 

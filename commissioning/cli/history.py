@@ -223,13 +223,16 @@ def _quantity(found: Quantity | None, unit: str | None = None) -> str:
 
 
 def _draw(story: Story, target: str) -> None:
-    from commissioning.history.telling import events
+    from commissioning.history.telling import drift_words, events
     from commissioning.report.trends import picture
 
     kind = Path(target).suffix.lower()
     if kind not in (".svg", ".png", ".pdf"):
         raise UsageError(f"--picture {target}: must end with .svg, .png or .pdf")
-    _write(target, picture(story, [(at, text) for _, at, text in events(story)], kind[1:]))
+    said = [one for one in story.drifts if one.alarm] or list(story.drifts[:1])
+    words = "; ".join(drift_words(story.axis, one) for one in said)
+    happened = [(at, text) for _, at, text in events(story)]
+    _write(target, picture(story, words, happened, kind[1:]))
 
 
 def _write(target: str, content: bytes) -> None:
@@ -338,8 +341,8 @@ def drift(gate: float, as_json: bool) -> None:
     calm = {one.axis for one, d in found if d.state in ("in control", "changed")} - alarmed
     rest = len({one.axis for one in stories} - alarmed - calm)
     screen.say(
-        f"of {len(stories)} axes {len(alarmed)} changed, {len(calm)} did not, and {rest} cannot be "
-        "told (too few runs under like conditions)"
+        f"axes that changed: {len(alarmed)}; unchanged: {len(calm)}; with too few runs under like "
+        f"conditions to tell: {rest}"
     )
 
 

@@ -29,7 +29,7 @@ _TEMPERATURE = 10.0  # K
 _KINDS = 20  # of conditions that are looked at
 _SPREAD = 3.0  # K, of a baseline that tells what the temperature does
 _USUAL, _STEEPEST = 0.01, 0.03  # a kelvin, by which friction falls: of most greases, and of any
-_PRESENT = 10  # runs that tell the level now
+_PRESENT = 5  # runs that tell the level now
 _SURE = 1.96  # of a normal distribution, 95 %
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
+from textwrap import fill
 from typing import Any, cast
 
 import matplotlib as mpl
@@ -26,10 +27,10 @@ _SHOWN = "coulomb", "viscous", "inertia"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
-def picture(story: Story, happened: Sequence[tuple[float, str]], kind: str) -> bytes:
+def picture(story: Story, words: str, happened: Sequence[tuple[float, str]], kind: str) -> bytes:
     """The quantities over time with their intervals, and what happened, as 'svg', 'png' or 'pdf'.
 
-    `happened` : s since 1970, and what
+    `words` : beneath its name. `happened` : s since 1970, and what
     """
     shown = [name for name in _SHOWN if any(name in one.quantities for one in story.entries)]
     stream = io.BytesIO()
@@ -38,6 +39,7 @@ def picture(story: Story, happened: Sequence[tuple[float, str]], kind: str) -> b
         figure = Figure(figsize=(9.2, 1.0 + 2.2 * rows), layout="constrained")
         panels = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
         figure.suptitle(story.axis, x=0.01, ha="left", fontsize=11, weight="bold")
+        panels[0].set_title(fill(words, 125), loc="left", fontsize=8.5)
         if not shown:
             panels[0].text(0.5, 0.5, "nothing was measured yet", ha="center", va="center")
         for axes, name in zip(panels, shown, strict=False):

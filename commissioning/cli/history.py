@@ -50,10 +50,15 @@ class _RunsOf(click.Group):
 
 @click.group("history", cls=_RunsOf)
 def command() -> None:
-    """The runs of this computer: 'tworelay history [AXIS]' lists them, newest last."""
+    """The runs of this computer: 'tworelay history' lists them, newest last.
+
+    'tworelay history AXIS' has the numbers of an axis over time, the drives and notes in between,
+    and its drift; as a picture with --picture F, for a spreadsheet with --csv F. All options:
+    'tworelay history list --help'.
+    """
 
 
-@command.command("list")
+@command.command("list", short_help="The runs; of AXIS, its numbers and its drift.")
 @click.argument("axis", required=False)
 @click.option(
     "--most", type=click.IntRange(1), default=30, show_default=True, metavar="N",
@@ -296,7 +301,7 @@ def _tree(one: Listed) -> dict[str, object]:
     }  # fmt: skip
 
 
-@command.command("drift")
+@command.command("drift", short_help="Which axes get worse.")
 @click.option(
     "--gate", type=Finite(0, 1000), default=10.0, show_default=True, metavar="P",
     help="Percent: a smaller change is no alarm.",
@@ -368,7 +373,7 @@ def note(axis: str, text: str, at: str | None, remove: bool) -> None:
     screen.say(f"noted for {made.axis}, {day(made.at)}: {made.text}")
 
 
-@command.command("rename")
+@command.command("rename", short_help="An axis has another name: its history goes on.")
 @click.argument("old", required=False)
 @click.argument("new", required=False)
 @click.option("--join", is_flag=True, help="NEW has runs already: both become one, for good.")

@@ -64,7 +64,7 @@ def list_axes(habits: bool, as_json: bool) -> None:
 
 
 @command.command("serve")
-@click.argument("axes", nargs=-1, metavar="AXIS...")
+@click.argument("axes", nargs=-1, metavar="[AXIS...]")
 @click.option(
     "--from",
     "runs",

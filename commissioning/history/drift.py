@@ -242,8 +242,8 @@ def drift(
     if not those:
         return Drift(quantity, unit, "not enough runs", since=since.at, since_text=since.text)
     found = _as_of(those[-1], those, quantity, since, gate)
-    if found is None or found.alarm:
-        return found
+    if found is None or found.alarm or found.points[0].run == those[0].run:
+        return found  # no other baseline is older
     for one in _of_other_conditions(those):
         before = _as_of(one, those[: those.index(one) + 1], quantity, since, gate)
         if before is None or before.state != "drifting":

@@ -160,14 +160,16 @@ def _profile(folder: RunFolder, said: dict[str, str]) -> Profile | None:
 
 def _file(axis: Axis, result: RunResult, profile: Profile | None) -> Axis:
     """The axis of the twin: as the run had it, and as far as it was let go."""
-    travel = axis.travel
-    if travel is None and result.experiment is not None and result.experiment.limits is not None:
-        travel = result.experiment.limits.travel
+    travel, limits = axis.travel, axis.limits.model_copy(update={"ends": None})
+    allowed = result.experiment.limits if result.experiment else None
+    if allowed is not None:
+        travel = travel or allowed.travel
+        torque, speed = limits.torque or allowed.torque, limits.speed or allowed.speed
+        limits = limits.model_copy(update={"torque": torque, "speed": speed})
     return axis.model_copy(
         update={
-            "name": _twin_name(axis.name), "link": None, "travel": travel,
+            "name": _twin_name(axis.name), "link": None, "travel": travel, "limits": limits,
             "profile": None if profile is None else profile.name,
-            "limits": axis.limits.model_copy(update={"ends": None}),
         }
     )  # fmt: skip
 

@@ -71,6 +71,19 @@ def command() -> list[str]:
     return [sys.executable, "-P", "-m", "commissioning"]
 
 
+def _found() -> list[str]:
+    """The command; fails the test where there is none."""
+    try:
+        words = command()
+    except TworelayNotFoundError as error:
+        pytest.fail(str(error), pytrace=False)
+    if not words or shutil.which(words[0]) is None:
+        pytest.fail(
+            f"TWORELAY_COMMAND: there is no program '{words[0] if words else ''}'", pytrace=False
+        )
+    return words
+
+
 def _environment(home: Path) -> dict[str, str]:
     """Of a child: its own home, and no path of the project's, whose folders may be called so."""
     hidden = ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP")
@@ -125,7 +138,7 @@ class _Tworelay:
         more = [] if target is None else ["--json", str(target)]
         prints = words[:1] and words[0] in _PRINTS_JSON and "--json" in words
         done = subprocess.run(
-            [*command(), *words, *more], env={**_environment(self.home), **(env or {})},
+            [*_found(), *words, *more], env={**_environment(self.home), **(env or {})},
             stdin=subprocess.DEVNULL, capture_output=True, timeout=timeout, check=False, cwd=cwd,
         )  # fmt: skip
         out, err = (text.decode("utf-8", "replace") for text in (done.stdout, done.stderr))
@@ -223,7 +236,7 @@ class _Server:
         ready, log = self.folder / f"ready-{number}.json", self.folder / f"serve-{number}.log"
         with log.open("wb") as said:
             process = subprocess.Popen(
-                [*command(), "virtual", "serve", *words, "--ready", str(ready)],
+                [*_found(), "virtual", "serve", *words, "--ready", str(ready), "--with-parent"],
                 env=_environment(self.home), stdin=subprocess.DEVNULL, stdout=said, stderr=said,
             )  # fmt: skip
         self.running.append(process)

@@ -8,8 +8,10 @@ from __future__ import annotations
 import hashlib
 import sqlite3
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import contextmanager
 from dataclasses import astuple, fields, replace
+from functools import partial
 from typing import Any
 
 from commissioning.journal_file import OpenJournal
@@ -56,7 +58,9 @@ class Index(OpenJournal):
             self._db.execute("COMMIT")
 
     def _has(self, run: str) -> bool:
-        found = self._db.execute("SELECT 1 FROM indexed WHERE run=?", (run,)).fetchone()
+        found = self._db.execute(
+            "SELECT 1 FROM indexed WHERE run=? UNION SELECT 1 FROM results WHERE run=?", (run, run)
+        ).fetchone()
         return found is not None
 
     def not_indexed(self) -> list[str]:
@@ -132,50 +136,46 @@ class Index(OpenJournal):
 
     # -- what people say -------------------------------------------------------------------------
 
-    def note_on(self, note: Note) -> bool:
-        """Keep a note, unless it is there; returns whether it was new."""
+    def note_on(self, note: Note) -> None:
+        """Keep a note."""
         with self._errors():
-            known = self._db.execute(
-                "SELECT 1 FROM maintenance WHERE axis=? AND at=? AND text=?",
-                (note.axis, note.at, note.text),
-            ).fetchone()
-            if known is None:
-                self._db.execute(
-                    "INSERT INTO maintenance(axis, at, who, host, text, number, dated) "
-                    "VALUES (?,?,?,?,?,?,?)",
-                    (
-                        note.axis,
-                        note.at,
-                        note.who,
-                        note.host,
-                        note.text,
-                        note.number,
-                        note.dated,
-                    ),
-                )
-        return known is None
+            self._db.execute(
+                "INSERT INTO axis_notes(axis, of_host, at, who, host, text, number, renamed, "
+                "dated) VALUES (?,?,?,?,?,?,?,?,?)",
+                (
+                    note.axis, note.of_host, note.at, note.who, note.host, note.text, note.number,
+                    note.renamed, note.dated,
+                ),
+            )  # fmt: skip
 
-    def remove_note(self, axes: Sequence[str], text: str) -> bool:
-        """Forget the last note of this text; returns whether there was one."""
-        marks = ",".join("?" * len(axes))
+    def remove_note(self, note: Note) -> None:
+        """Forget a note."""
         with self._errors():
-            done = self._db.execute(
-                "DELETE FROM maintenance WHERE seq = (SELECT MAX(seq) FROM maintenance "  # noqa: S608
-                f"WHERE axis IN ({marks}) AND text=?)",
-                (*axes, text),
+            self._db.execute(
+                "DELETE FROM axis_notes WHERE seq = (SELECT MAX(seq) FROM axis_notes WHERE axis=? "
+                "AND of_host IS ? AND at=? AND text=?)",
+                (note.axis, note.of_host, note.at, note.text),
             )
-        return done.rowcount > 0
 
-    def notes(self, axes: Sequence[str]) -> list[Note]:
-        """Notes on axes of these names, in the order in which they were made."""
-        marks = ",".join("?" * len(axes))
-        with self._errors():
+    def notes(self, axes: Sequence[str] | None = None) -> list[Note]:
+        """Notes on axes of these names, in the order in which they were made; None: all."""
+        marks = "" if axes is None else f"WHERE axis IN ({','.join('?' * len(axes))})"
+        with self._errors(), self._any_text():
             rows = self._db.execute(
-                "SELECT axis, at, text, who, host, number, dated FROM maintenance "  # noqa: S608
-                f"WHERE axis IN ({marks}) ORDER BY seq",
-                tuple(axes),
+                "SELECT axis, of_host, at, who, host, text, number, renamed, dated "  # noqa: S608
+                f"FROM axis_notes {marks} ORDER BY seq",
+                tuple(axes or ()),
             ).fetchall()
         return [_note(tuple(row)) for row in rows]
+
+    @contextmanager
+    def _any_text(self) -> Generator[None]:
+        """Words of people are read, whatever became of them."""
+        self._db.text_factory = partial(str, encoding="utf-8", errors="replace")
+        try:
+            yield
+        finally:
+            self._db.text_factory = str
 
     def last_number(self) -> int:
         """Place of the last run."""
@@ -183,7 +183,7 @@ class Index(OpenJournal):
             return int(self._db.execute("SELECT IFNULL(MAX(rowid), 0) FROM runs").fetchone()[0])
 
     def rename(self, old: str, new: str) -> None:
-        """The axis that was called `old` is called `new` from now on."""
+        """The axis of this computer that was called `old` is called `new` from now on."""
         number = self.last_number()
         with self._errors():
             self._db.execute(
@@ -192,37 +192,46 @@ class Index(OpenJournal):
             )
 
     def take_back_rename(self) -> Renamed | None:
-        """Forget the last renaming; returns it, or None where there is none."""
+        """Forget the last renaming; returns it, or None where there is none.
+
+        Notes that were made since go along.
+        """
         found = self.renamed()
         if not found:
             return None
+        last = found[-1]
         with self._errors():
+            self._db.execute("BEGIN IMMEDIATE")
+            self._db.execute("DELETE FROM renamed_axes WHERE seq=?", (last.seq,))
             self._db.execute(
-                "DELETE FROM renamed_axes WHERE seq = (SELECT MAX(seq) FROM renamed_axes)"
+                "UPDATE axis_notes SET axis=? WHERE axis=? AND of_host IS NULL AND renamed >= ?",
+                (last.old, last.new, last.seq),
             )
-        return found[-1]
+            self._db.execute("COMMIT")
+        return last
 
     def renamed(self) -> list[Renamed]:
         """What axes were called before, in the order in which they were renamed."""
-        with self._errors():
+        with self._errors(), self._any_text():
             rows = self._db.execute(
-                "SELECT old, new, number FROM renamed_axes ORDER BY seq"
+                "SELECT old, new, number, seq FROM renamed_axes ORDER BY seq"
             ).fetchall()
         return [
-            Renamed(str(old), str(new), number)
-            for old, new, number in rows
+            Renamed(str(old), str(new), number, seq)
+            for old, new, number, seq in rows
             if isinstance(number, int)
         ]
 
-    def named(self, axes: Sequence[str]) -> list[tuple[str, int]]:
-        """Name and place of each run of axes of these names."""
+    def named(self, axes: Sequence[str]) -> list[tuple[str, int, bool]]:
+        """Name, place, and whether it is of another computer, of each run of these axes."""
         marks = ",".join("?" * len(axes))
         with self._errors():
             rows = self._db.execute(
-                f"SELECT axis, rowid FROM runs WHERE axis IN ({marks})",  # noqa: S608
+                "SELECT axis, rowid, id IN (SELECT run FROM adopted) FROM runs "  # noqa: S608
+                f"WHERE axis IN ({marks})",
                 tuple(axes),
             ).fetchall()
-        return [(str(axis), int(number)) for axis, number in rows]
+        return [(str(axis), int(number), bool(adopted)) for axis, number, adopted in rows]
 
     def names_of_drives(self, serials: Iterable[str]) -> dict[str, list[str]]:
         """What axes with drives of these serial numbers are called, in order."""
@@ -259,7 +268,7 @@ def _digest(*rows: Row) -> str:
 def _plain(value: object) -> object:
     if isinstance(value, str):
         return str(value)  # an enumeration's, too
-    return float(value) if isinstance(value, int | float) else value
+    return float(value) + 0.0 if isinstance(value, int | float) else value  # no −0.0
 
 
 def _filled(
@@ -290,7 +299,7 @@ def _filled(
 
 def _note(row: Row) -> Note:
     """A note, whatever became of its row."""
-    axis, at, text, who, host, number, dated = row
+    axis, of_host, at, who, host, text, number, renamed, dated = row
     is_date = isinstance(at, int | float) and 0 <= at < time.time() + _DAY
     return Note(
         str(axis),
@@ -299,5 +308,7 @@ def _note(row: Row) -> Note:
         None if who is None else str(who),
         None if host is None else str(host),
         number if isinstance(number, int) else 0,
+        renamed if isinstance(renamed, int) else 0,
         bool(dated),
+        None if of_host is None else str(of_host),
     )

@@ -11,8 +11,7 @@ import platform
 import re
 import sqlite3
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from commissioning.errors import JournalError
@@ -38,7 +37,13 @@ from commissioning.records import (
     intent_of,
     run_of,
 )
-from commissioning.result.history import Note, name_now, names_before
+from commissioning.result.history import (
+    IndexedRun,
+    Note,
+    name_now,
+    names_before,
+    noted_name,
+)
 from drivers.places import same_place
 from profiles.errors import Refused, UnknownName, UsageError
 
@@ -312,12 +317,19 @@ class Journal(Index):
 
     def _of_axis(self, record: RunRecord) -> tuple[str, tuple[Note, ...]]:
         """What the axis of a run is called now, and the notes on it."""
-        renamed = self.renamed()
-        with self._errors():
-            row = self._db.execute("SELECT rowid FROM runs WHERE id=?", (record.id,)).fetchone()
-        now = name_now(record.axis, row[0], renamed)
+        entry, renamed = self.entry(record.id), self.renamed()
+        assert entry is not None
+        now = name_now(entry, renamed)
+        of_host = self.of_host(entry)
         notes = self.notes(names_before(now, renamed))
-        return now, tuple(n for n in notes if name_now(n.axis, n.number, renamed) == now)
+        return now, tuple(
+            n for n in notes if noted_name(n, renamed) == now and n.of_host == of_host
+        )
+
+    def of_host(self, entry: IndexedRun) -> str | None:
+        """The computer whose axis a run is of; None: this one."""
+        here = platform.node()
+        return None if not entry.adopted or entry.host in (None, here) else entry.host
 
     def _image(self, record: RunRecord) -> dict[str, Cell]:
         """What the drive of a run has, by all that was written to it here, and its stores."""
@@ -373,15 +385,18 @@ class Journal(Index):
                 stores.append((max(then, default=0), text))
         return image_of(writes, stores)
 
-    def adopt(self, history: History) -> str:
-        """Take in the journal of a run of another computer, unless it is known; returns its id."""
+    def adopt(self, history: History, notes: Sequence[Note] = ()) -> str:
+        """Take in the journal of a run of another computer, unless it is known; returns its id.
+
+        `notes` : on its axis, as `new_notes` has them
+        """
         run = history.run
         if self.knows(run.id):
             return run.id
         now = time.time()
         with self._errors():
             self._db.execute("BEGIN IMMEDIATE")
-            for note in self.new_notes(history):
+            for note in notes:
                 self.note_on(note)
             self._db.execute(
                 "INSERT INTO runs VALUES (?,?,?,?,?,?,?,?,?)",
@@ -409,15 +424,27 @@ class Journal(Index):
             self._db.execute("COMMIT")
         return run.id
 
-    def new_notes(self, history: History) -> list[Note]:
-        """Notes on the axis of a run of another computer that are not known, as they go in."""
-        there = {(n.at, n.text) for n in self.notes([history.run.axis])}
+    def new_notes(self, history: History, of_host: str | None) -> list[Note]:
+        """Notes on the axis of a run of another computer that are not known, as they go in.
+
+        `of_host` : whose axis it is; None: this computer's
+        """
+        there = {(n.at, n.text) for n in self.notes()}
         last, now = self.last_number(), time.time()
+        seq = max((one.seq for one in self.renamed()), default=0)
         return [
-            replace(n, axis=history.run.axis, at=min(n.at, now), number=last, dated=True)
+            Note(history.run.axis, min(n.at, now), n.text, n.who, n.host, last, seq, True, of_host)
             for n in history.notes
             if (min(n.at, now), n.text) not in there
         ]
+
+    def call_adopted(self, run: str, axis: str, context: RunContext) -> None:
+        """A run of another computer is of an axis that is called otherwise there by now."""
+        with self._errors():
+            self._db.execute(
+                "UPDATE runs SET axis=?, context=? WHERE id=? AND id IN (SELECT run FROM adopted)",
+                (axis, context_text(context), run),
+            )
 
     def known_as(self, record: RunRecord) -> str | None:
         """What a run of another computer is called here; None: it is not known."""

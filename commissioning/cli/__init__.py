@@ -106,6 +106,15 @@ def _meant(message: str, where: click.Context | None) -> str:
     return f" Did you mean '{near[0]}'?" if near else ""
 
 
+def _junit(error: Exception, message: str, code: str, exit_code: int) -> None:
+    """What --junit is to say of what ended before it began."""
+    told = getattr(error, "in_junit", False)
+    if not told and any(word.startswith("--junit") for word in sys.argv):
+        from commissioning.cli.junit import not_begun
+
+        not_begun(sys.argv[1:], message, code, exit_code)
+
+
 def _report_failure(error: Exception) -> int:
     from commissioning.cli.output import document, say
     from profiles.errors import TwoRelayError
@@ -120,10 +129,7 @@ def _report_failure(error: Exception) -> int:
         message = " ".join(error.format_message().split())
         where = getattr(error, "ctx", None)
         message += _meant(message, where)
-        if any(word.startswith("--junit") for word in sys.argv):
-            from commissioning.cli.junit import usage_error
-
-            usage_error(sys.argv[1:], message)
+        _junit(error, message, "usage", 2)
         hint = f" Try '{where.command_path} --help'." if where is not None else ""
         say(f"tworelay: {message}{hint}", err=True)
         return 2
@@ -131,6 +137,7 @@ def _report_failure(error: Exception) -> int:
         say(f"tworelay: {error.strerror}: what was asked for cannot be said", err=True)
         return 2
     if isinstance(error, TwoRelayError):
+        _junit(error, str(error), error.code, error.exit_code)
         say(f"tworelay: {error}", err=True)
         return error.exit_code
     if "-v" in sys.argv or "--verbose" in sys.argv:

@@ -346,7 +346,7 @@ def drift(gate: float, as_json: bool) -> None:
     calm = {one.axis for one, d in found if d.state in ("in control", "changed")} - alarmed
     rest = len({one.axis for one in stories} - alarmed - calm)
     screen.say(
-        f"axes that changed: {len(alarmed)}; unchanged: {len(calm)}; with too few runs under like "
+        f"axes with an alarm: {len(alarmed)}; without: {len(calm)}; with too few runs under like "
         f"conditions to tell: {rest}"
     )
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from commissioning.result.junit import Case
     from profiles.axis import Axis
 
-__all__ = ["junit_option", "usage_error"]
+__all__ = ["junit_option", "not_begun"]
 
 
 def junit_option(act: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -42,6 +42,8 @@ def junit_option(act: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]
                 error = caught
                 raise
             finally:
+                if error is not None:
+                    error.__dict__["in_junit"] = True
                 named = kwargs.get("target") or kwargs.get("run") or act
                 _write(junit, act, str(named), error, time.monotonic() - began)
 
@@ -86,15 +88,19 @@ def _lines(result: RunResult) -> list[str]:
     return [*lines, *([f"in the drive: {written}"] if written else [])]
 
 
-def usage_error(arguments: Sequence[str], message: str) -> None:
-    """A command that was not understood says so, where --junit is to be: no old file stays."""
-    from commissioning.result.junit import Case
+def not_begun(arguments: Sequence[str], message: str, code: str, exit_code: int) -> None:
+    """What ended before the act, where --junit is to be: no old file stays."""
+    from commissioning.result.junit import Case, case_of_exit
 
     files = [value for word, value in pairwise(arguments) if word == "--junit"]
     files += [word.partition("=")[2] for word in arguments if word.startswith("--junit=")]
-    if files and files[-1] not in ("", "-"):
-        act = next((word for word in arguments if not word.startswith("-")), "tworelay")
-        _put(files[-1], Case(f"{act}: usage", "tworelay", "error", kind="usage", message=message))
+    if not files or files[-1] in ("", "-"):
+        return
+    words = [word for word in arguments if not word.startswith("-")]
+    act = words[0] if words else "tworelay"
+    named = next((word for word in words[1:] if word not in (files[-1], "run", "rehearse")), act)
+    outcome = case_of_exit(exit_code)
+    _put(files[-1], Case(f"{named}: {act}", "tworelay", outcome, kind=code, message=message))
 
 
 def _put(target: str, case: Case) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -78,6 +78,9 @@ def list_axes(habits: bool, as_json: bool) -> None:
     help="Write names and links to F as JSON once all are ready, for the program that waits.",
 )  # fmt: skip
 @click.option(
+    "--with-parent", is_flag=True, help="End when the process that started it is no more."
+)
+@click.option(
     "--axis-file",
     type=click.Path(dir_okay=False, path_type=Path),
     help="With --from: write the twin's axis file to F, to commission it.",
@@ -116,6 +119,7 @@ def serve_axes(
     axes: tuple[str, ...],
     runs: tuple[str, ...],
     ready: Path | None,
+    with_parent: bool,
     axis_file: Path | None,
     changes: tuple[str, ...],
     modbus_tcp: str | None,
@@ -139,8 +143,9 @@ def serve_axes(
     from drivers.virtual.served import BusOfDrives, Endpoints
     from profiles.library import load_profile
 
+    until = _parent_is_gone() if with_parent else _never
     if len(axes) == 1 and axes[0].endswith(".toml"):
-        sys.exit(128 + _serve_fleet(Path(axes[0]), clock, state, ready))
+        sys.exit(128 + _serve_fleet(Path(axes[0]), clock, state, ready, until))
     endpoints = Endpoints(
         modbus_tcp=_place(modbus_tcp),
         modbus_rtu_tcp=_place(modbus_rtu_tcp),
@@ -150,7 +155,9 @@ def serve_axes(
     )
     if runs or not axes:
         _no_axes(axes, runs, profile)
-        ending = _serve_runs(runs, changes, endpoints, clock, state, axis_file, habits, ready)
+        ending = _serve_runs(
+            runs, changes, endpoints, clock, state, axis_file, habits, ready, until
+        )
         sys.exit(128 + ending)
     if axis_file is not None:
         raise UsageError("--axis-file belongs to --from: a virtual axis needs none")
@@ -178,7 +185,21 @@ def serve_axes(
     key = "unit" if endpoints.is_modbus else "node"
     drives = _told_apart((_served(link, n, state, twin_of) for n, link in enumerate(links)), key)
     told = _Ready(ready, axes)
-    sys.exit(128 + serve([BusOfDrives(drives, endpoints, found)], clock, told))
+    sys.exit(128 + serve([BusOfDrives(drives, endpoints, found)], clock, told, until))
+
+
+def _never() -> bool:
+    return False
+
+
+def _parent_is_gone() -> Callable[[], bool]:
+    """Whether the process that started this one has ended since."""
+    import os
+
+    import psutil
+
+    parent = psutil.Process(os.getppid())
+    return lambda: not parent.is_running()
 
 
 class _Ready:
@@ -186,6 +207,8 @@ class _Ready:
 
     def __init__(self, path: Path | None, names: Sequence[str]) -> None:
         self._path, self._names = path, names
+        if path is not None:
+            path.unlink(missing_ok=True)  # of drives that were served before
         self._links: dict[int, list[str]] = {}
 
     def __call__(self, number: int, link: str) -> None:
@@ -197,7 +220,11 @@ class _Ready:
 
 
 def _serve_fleet(
-    path: Path, clock: Literal["wall", "step"], state: Path | None, ready: Path | None
+    path: Path,
+    clock: Literal["wall", "step"],
+    state: Path | None,
+    ready: Path | None,
+    until: Callable[[], bool],
 ) -> int:
     """Twins of all axes of a fleet file, on wires like those of the file; a LINK a line."""
     import tempfile
@@ -212,7 +239,7 @@ def _serve_fleet(
         twins = twins_of(load_fleet(path), Path(folder))
         if not twins.buses:
             raise UsageError(f"{path}: all its axes are virtual:// already")
-        return serve(twins.buses, clock, _Ready(ready, twins.names))
+        return serve(twins.buses, clock, _Ready(ready, twins.names), until)
 
 
 def _no_axes(axes: tuple[str, ...], runs: tuple[str, ...], profile: str | None) -> None:
@@ -235,6 +262,7 @@ def _serve_runs(
     axis_file: Path | None,
     habits: tuple[str, ...],
     ready: Path | None,
+    until: Callable[[], bool],
 ) -> int:
     """Twins of the axes that runs measured, on one bus; a LINK a line."""
     from commissioning.journal import Journal
@@ -271,7 +299,7 @@ def _serve_runs(
         is_ready(number, link)
 
     bent = habits_of(habits).for_bus("modbus" if endpoints.is_modbus else "canopen")
-    return serve([BusOfDrives(drives, endpoints, bent)], clock, told)
+    return serve([BusOfDrives(drives, endpoints, bent)], clock, told, until)
 
 
 def _write(path: Path, text: str) -> None:

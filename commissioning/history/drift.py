@@ -242,14 +242,12 @@ def drift(
     if not those:
         return Drift(quantity, unit, "not enough runs", since=since.at, since_text=since.text)
     found = _as_of(those[-1], those, quantity, since, gate)
-    if found is None or found.alarm or found.points[0].run == those[0].run:
-        return found  # no other baseline is older
+    if found is None or found.alarm:
+        return found
     for one in _of_other_conditions(those):
-        before = _as_of(one, those[: those.index(one) + 1], quantity, since, gate)
-        if before is None or before.state != "drifting":
-            continue
-        if before.points[0].began < found.points[0].began:
-            return before  # the last run has no baseline as old: it does not end the alarm
+        other = _as_of(one, those, quantity, since, gate)
+        if other is not None and other.alarm:
+            return other  # the last run, under other conditions, does not end it
     return found
 
 
@@ -261,9 +259,10 @@ def _as_of(
     alike = [one for one, unlike in zip(those, why, strict=True) if unlike is None]
     seen = tuple(_seen(one, quantity) for one in alike)
     counted = Counter(unlike for unlike in why if unlike is not None)
+    newer = len(those) - 1 - max(n for n, unlike in enumerate(why) if unlike is None)
     bare = Drift(
         quantity, newest.quantities[quantity].unit, "not enough runs", seen,
-        len(those) - len(alike), tuple(f"{count} {text}" for text, count in counted.items()),
+        len(those) - len(alike), newer, tuple(f"{count} {text}" for text, count in counted.items()),
         since=seen[0].began if since.text == FIRST else since.at, since_text=since.text,
         said=_said(newest) if len(seen) > 1 else (),
     )  # fmt: skip
@@ -271,14 +270,21 @@ def _as_of(
 
 
 def _of_other_conditions(those: Sequence[IndexedRun]) -> list[IndexedRun]:
-    """Of each other kind of conditions the last run, the newest first."""
+    """Of each other kind of conditions the last run, the newest first.
+
+    A kind with too few runs for a chart counts while it is one of the last runs.
+    """
     found: list[IndexedRun] = []
     kinds = {_kind(those[-1])}
-    for one in reversed(those):
+    for age, one in enumerate(reversed(those)):
         if _kind(one) not in kinds:
             kinds.add(_kind(one))
-            found.append(one)
-    return found[:_KINDS]
+            like = sum(_unlike(other, one) is None for other in those)
+            if age < BASELINE or like > BASELINE:
+                found.append(one)
+        if len(kinds) > _KINDS:
+            break
+    return found
 
 
 def _kind(one: IndexedRun) -> tuple[int | None, int | None]:

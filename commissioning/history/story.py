@@ -20,6 +20,8 @@ from commissioning.result.history import (
     Story,
     name_now,
     names_before,
+    noted_name,
+    own_name,
 )
 from profiles.axis import axis_name
 from profiles.errors import UnknownName, UsageError
@@ -44,29 +46,30 @@ class _Found:
     axis: SameAxis
     of_name: list[SameAxis]
 
-    @property
-    def for_notes(self) -> str:
-        """What its notes are kept by."""
-        return self.name if self.axis.is_ours else f"{self.name}@{min(self.axis.hosts)}"
+    renamed: list[Renamed]
 
 
-def _find(journal: Journal, asked: str) -> _Found:
-    """The axis that is called so, or NAME@COMPUTER; raises UnknownName."""
-    renamed, known = journal.renamed(), names_now(journal)
+def _find(journal: Journal, asked: str, known: Sequence[str] | None = None) -> _Found:
+    """The axis that is called so, or NAME@COMPUTER; raises UnknownName.
+
+    `known` : names of all axes, where they are known
+    """
+    renamed = journal.renamed()
+    known = names_now(journal) if known is None else known
     called, host = asked, None
     if asked not in known and "@" in asked:
         called, _, host = asked.rpartition("@")
     name = called if called in known else _became(called, renamed)
     names = names_before(name, renamed)
     of_name = groups(
-        [o for o in _entries(journal, names) if name_now(o.axis, o.number, renamed) == name],
+        [one for one in _entries(journal, names) if name_now(one, renamed) == name],
         platform.node(),
     )
     axis = chosen(of_name, host)
     if axis is None:
         others = sorted(h for one in of_name for h in one.hosts)
-        raise UnknownName("axis with runs", asked, [f"{called}@{h}" for h in others] or known)
-    return _Found(called, name, names, axis, of_name)
+        raise UnknownName("axis with runs", asked, [f"{called}@{h}" for h in others] or list(known))
+    return _Found(called, name, names, axis, of_name, renamed)
 
 
 def story_of(journal: Journal, asked: str, *, gate: float = GATE) -> Story:
@@ -74,7 +77,10 @@ def story_of(journal: Journal, asked: str, *, gate: float = GATE) -> Story:
 
     `gate` : change below which there is no alarm, %
     """
-    found = _find(journal, asked)
+    return _story(journal, _find(journal, asked), gate)
+
+
+def _story(journal: Journal, found: _Found, gate: float) -> Story:
     entries, name, notes = found.axis.entries, found.name, _notes(journal, found)
     charts = (drift(entries, notes, quantity, gate=gate) for quantity in CHARTED)
     remarks = [f"'{found.called}' is called '{name}' now"] if name != found.called else []
@@ -90,23 +96,18 @@ def story_of(journal: Journal, asked: str, *, gate: float = GATE) -> Story:
 
 def _notes(journal: Journal, found: _Found) -> list[Note]:
     """Notes on this axis, and not on another of its name."""
-    renamed, here = journal.renamed(), platform.node()
-    theirs = [f"{found.name}@{host}" for host in found.axis.hosts]
-
-    def is_meant(note: Note) -> bool:
-        if note.axis in theirs:
-            return True
-        if name_now(note.axis, note.number, renamed) != found.name:
-            return False
-        made_here = note.host in (None, here)
-        return found.axis.is_ours if made_here else note.host in found.axis.hosts
-
-    return [note for note in journal.notes([*found.names, *theirs]) if is_meant(note)]
+    return [
+        note
+        for note in journal.notes(found.names)
+        if noted_name(note, found.renamed) == found.name
+        and (found.axis.is_ours if note.of_host is None else note.of_host in found.axis.hosts)
+    ]
 
 
 def all_axes(journal: Journal, *, gate: float = GATE) -> list[Story]:
     """The history of each axis, by name."""
-    return [story_of(journal, name, gate=gate) for name in names_now(journal)]
+    known = names_now(journal)
+    return [_story(journal, _find(journal, name, known), gate) for name in known]
 
 
 def names_now(journal: Journal) -> list[str]:
@@ -114,7 +115,10 @@ def names_now(journal: Journal) -> list[str]:
     renamed, known = journal.renamed(), journal.axes()
     old = [name for name in known if any(name == one.old for one in renamed)]
     found = set(known) - set(old)
-    found |= {name_now(name, number, renamed) for name, number in journal.named(old)}
+    found |= {
+        name if adopted else own_name(name, number, renamed)
+        for name, number, adopted in journal.named(old)
+    }
     return sorted(found)
 
 
@@ -166,7 +170,7 @@ def _others(of_name: Sequence[SameAxis], group: SameAxis, name: str) -> list[str
 def _same_drive(journal: Journal, group: SameAxis, names: Sequence[str]) -> list[str]:
     """Other names under which the drive of the last run was measured."""
     serial = group.entries[-1].serial
-    if serial in NO_SERIAL or group.entries[-1].link.startswith("virtual://"):
+    if not group.is_ours or serial in NO_SERIAL or group.entries[-1].link.startswith("virtual:"):
         return []  # virtual drives of the same options are the same
     others = [one for one in journal.names_of_drives([serial]).get(serial, []) if one not in names]
     return [
@@ -189,8 +193,9 @@ def add_note(journal: Journal, axis: str, text: str, at: float | None) -> Note:
     if at is not None and at > moment:
         raise UsageError("a note is of what was done, and its date lies in the future")
     note = Note(
-        found.for_notes, moment if at is None else at, text, operator(), platform.node() or None,
-        journal.last_number(), at is not None,
+        found.name, moment if at is None else at, text, operator(), platform.node() or None,
+        journal.last_number(), max((one.seq for one in found.renamed), default=0), at is not None,
+        None if found.axis.is_ours else min(found.axis.hosts),
     )  # fmt: skip
     journal.note_on(note)
     return note
@@ -199,12 +204,11 @@ def add_note(journal: Journal, axis: str, text: str, at: float | None) -> Note:
 def remove_note(journal: Journal, axis: str, text: str) -> str:
     """Take back a note; returns the axis' name. Raises UsageError."""
     found = _find(journal, axis)
-    there = _notes(journal, found)
-    text = " ".join(text.split())
-    if text not in [note.text for note in there]:
-        known = dict.fromkeys(note.text for note in there)
-        raise UnknownName(f"note on axis '{found.name}'", text, list(known))
-    journal.remove_note([*found.names, found.for_notes], text)
+    there = {note.text: note for note in _notes(journal, found)}
+    note = there.get(" ".join(text.split()))
+    if note is None:
+        raise UnknownName(f"note on axis '{found.name}'", text, list(there))
+    journal.remove_note(note)
     return found.name
 
 

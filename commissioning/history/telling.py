@@ -31,6 +31,9 @@ def drift_words(axis: str, found: Drift) -> str:
     of = f"{LABELS.get(found.quantity, found.quantity)} of {axis}"
     since, count = _since(found), len(found.points)
     out = f"; left out: {', '.join(found.why_left_out)}" if found.why_left_out else ""
+    if found.newer:
+        out += f" ({found.newer} of them newer, the last that is compared of "
+        out += f"{day(found.points[-1].began)})"
     if not count:
         return f"{of}: no run {since}"
     if found.state == "not enough runs":

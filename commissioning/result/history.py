@@ -26,7 +26,9 @@ __all__ = [
     "conditions_of",
     "name_now",
     "names_before",
+    "noted_name",
     "numbers_of",
+    "own_name",
 ]
 
 HISTORY_SCHEMA: Final = "tworelay.history/1"
@@ -86,10 +88,12 @@ class Note:
 
     Attributes
     ----------
+    axis, of_host : its name, and the computer whose axis it is; None: this one's
     at : s since 1970
-    number : place of the last run of this computer when the note was made
+    who, host : by whom and where; None where the system did not tell
+    number, renamed : place of the last run of this computer, and of the last renaming, when the
+        note was made
     dated : its date tells its place among the runs, and not `number`
-    who, host : None where the system did not tell
     """
 
     axis: str
@@ -98,22 +102,42 @@ class Note:
     who: str | None = None
     host: str | None = None
     number: int = 0
+    renamed: int = 0
     dated: bool = False
+    of_host: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Renamed:
-    """An axis got another name after the run of this place."""
+    """An axis of this computer got another name after the run of place `number`.
+
+    `seq` : place among the renamings, from 1
+    """
 
     old: str
     new: str
     number: int
+    seq: int = 1
 
 
-def name_now(name: str, number: int, renamed: Iterable[Renamed]) -> str:
-    """What the axis of a run is called now, by the run's own name and place."""
+def name_now(run: IndexedRun, renamed: Iterable[Renamed]) -> str:
+    """What the axis of a run is called now; those of other computers are renamed there."""
+    return run.axis if run.adopted else own_name(run.axis, run.number, renamed)
+
+
+def own_name(name: str, number: int, renamed: Iterable[Renamed]) -> str:
+    """What the axis of a run of this computer is called now, by the run's own name and place."""
     for one in renamed:
         if one.old == name and number <= one.number:
+            name = one.new
+    return name
+
+
+def noted_name(note: Note, renamed: Iterable[Renamed]) -> str:
+    """What the axis of a note is called now."""
+    name = note.axis
+    for one in renamed if note.of_host is None else ():
+        if one.old == name and one.seq > note.renamed:
             name = one.new
     return name
 
@@ -164,7 +188,8 @@ class Drift:
     state : 'in control' | 'drifting' | 'changed' (fewer runs than a chart needs: outside both
         intervals) | 'not enough runs'
     points : runs that are compared, in their order
-    left_out : runs behind the same event under other conditions
+    left_out, newer : runs behind the same event under other conditions, and those of them that came
+        after the last one that is compared
     why_left_out : how many for which reason, in words
     alarm : it is drifting; or it has changed, by the gate at least, and no temperature explains it
     baseline : runs that made the centre
@@ -183,6 +208,7 @@ class Drift:
     state: Literal["in control", "drifting", "changed", "not enough runs"]
     points: tuple[ValueSeen, ...] = ()
     left_out: int = 0
+    newer: int = 0
     why_left_out: tuple[str, ...] = ()
     alarm: bool = False
     baseline: int = 0

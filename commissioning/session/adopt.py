@@ -6,6 +6,8 @@ it is known here is what the run is applied, verified and restored by.
 
 from __future__ import annotations
 
+import contextlib
+import platform
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -72,7 +74,7 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
         raise UsageError(f"{path}: '{run:.100}' is no id of a run")
     known = desk.journal.known_as(record)
     if known is not None:
-        _notes_alone(history, known, desk)
+        _again(history, folder.result(), known, path, desk)
         return known
     here = desk.journal.free_id(run)
     target, result = RunFolder.of(desk.journal, here), folder.result()
@@ -107,8 +109,10 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
     samples = folder.samples()
     called = _named(history, path)
     now = replace(history, run=replace(record, axis=called))
-    notes = tuple(note.text for note in desk.journal.new_notes(now))
-    show(Adopted(run, axis, record.serial, own, history.intents, called, notes))
+    whose = None if result.host in (None, platform.node()) else result.host
+    notes = desk.journal.new_notes(now, whose)
+    texts = tuple(note.text for note in notes)
+    show(Adopted(run, axis, record.serial, own, history.intents, called, texts))
     if here != run:
         desk.tell(f"another run here has the id {run}: this one will be called {here}")
     desk.agree(
@@ -123,7 +127,7 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
     result = replace(result, run=here, axis=called, written=())
     target.save(result, samples, source_text(name))
     taken = replace(record, id=here, axis=called, context=context)
-    return desk.journal.adopt(replace(history, run=taken))
+    return desk.journal.adopt(replace(history, run=taken), notes)
 
 
 def _named(history: History, path: Path) -> str:
@@ -134,10 +138,20 @@ def _named(history: History, path: Path) -> str:
         raise UsageError(f"{path}: the name of its axis {error}") from None
 
 
-def _notes_alone(history: History, known: str, desk: Desk) -> None:
-    """Take in the notes on the axis of a run that is known, once that is agreed."""
-    axis = desk.journal.run(known).axis
-    notes = desk.journal.new_notes(replace(history, run=replace(history.run, axis=axis)))
+def _again(history: History, result: RunResult, known: str, path: Path, desk: Desk) -> None:
+    """A run that is known comes again: its axis may have another name by now, and more notes.
+
+    Notes are taken in once that is agreed.
+    """
+    entry = desk.journal.entry(known)
+    assert entry is not None
+    of_host = desk.journal.of_host(entry)
+    if of_host is not None and (called := _named(history, path)) != entry.axis:
+        _call(known, called, desk)
+        desk.tell(f"run {known} is known here: its axis '{entry.axis}' is called '{called}' now")
+        entry = replace(entry, axis=called)
+    axis = entry.axis
+    notes = desk.journal.new_notes(replace(history, run=replace(history.run, axis=axis)), of_host)
     if not notes:
         desk.tell(f"run {known} is known here: nothing was taken in")
         return
@@ -150,6 +164,16 @@ def _notes_alone(history: History, known: str, desk: Desk) -> None:
     )
     for note in notes:
         desk.journal.note_on(note)
+
+
+def _call(run: str, called: str, desk: Desk) -> None:
+    """The axis of an adopted run gets the name that it has where it is."""
+    record, folder = desk.journal.run(run), RunFolder.of(desk.journal, run)
+    axis = Axis.model_validate_json(record.context.axis).model_copy(update={"name": called})
+    context = replace(record.context, axis=axis.model_dump_json())
+    with contextlib.suppress(UsageError):  # its files are gone
+        folder.save(replace(folder.result(), axis=called))
+    desk.journal.call_adopted(run, called, context)
 
 
 @dataclass(frozen=True, slots=True)

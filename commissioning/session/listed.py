@@ -61,7 +61,7 @@ def listed(journal: Journal, run: str) -> Listed:
         there = (journal.folder / "runs" / record.id / "run.json").exists()
         verdict = "files damaged" if there else "files deleted" if gone else "files missing"
     return Listed(
-        record.id, record.axis, record.created, verdict, coulomb, _in_drive(result, history),
+        record.id, history.named, record.created, verdict, coulomb, _in_drive(result, history),
         record.adopted,
     )  # fmt: skip
 

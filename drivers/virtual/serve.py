@@ -25,26 +25,39 @@ _TROUBLE = {
 }
 _COMPLAINTS = 20  # lines, at most
 _POLL = 0.002  # s: how often timers of the drives run while nobody talks to them
+_ASKED = 0.5  # s, between two looks at whether it is to end
 _IDLE = 0.1  # s, where none runs by itself
 
 
 Announce = Callable[[int, str], None]  # number of a drive, from 0 over all buses, and a LINK to it
 
 
-def serve(buses: Sequence[BusOfDrives], kind: ClockKind, announce: Announce) -> int:
+def serve(
+    buses: Sequence[BusOfDrives],
+    kind: ClockKind,
+    announce: Announce,
+    until: Callable[[], bool] = lambda: False,
+) -> int:
     """Serve until SIGINT or SIGTERM, and return which; `announce` gets one ready LINK at a time.
+
+    `until` : asked now and then; it ends as by SIGTERM where that is so.
 
     In real time it has the loop's kind of priority, one below, where that is permitted.
     """
     urgent = real_time(below=1) if kind == "wall" else contextlib.nullcontext()
     try:
         with urgent:
-            return asyncio.run(_serve(buses, kind, announce))
+            return asyncio.run(_serve(buses, kind, announce, until))
     except KeyboardInterrupt:
         return int(signal.SIGINT)
 
 
-async def _serve(buses: Sequence[BusOfDrives], kind: ClockKind, announce: Announce) -> int:
+async def _serve(
+    buses: Sequence[BusOfDrives],
+    kind: ClockKind,
+    announce: Announce,
+    until: Callable[[], bool],
+) -> int:
     end = asyncio.Event()
     loop = asyncio.get_running_loop()
     received = int(signal.SIGINT)
@@ -64,8 +77,13 @@ async def _serve(buses: Sequence[BusOfDrives], kind: ClockKind, announce: Announ
         for drive, links in enumerate(links for one in served for links in one.links):
             for link in links:
                 announce(drive, link)
+        asked = loop.time()
         has_timers = kind == "wall" or any(bus.habits.values for bus in buses)
         while not end.is_set():
+            if loop.time() > asked + _ASKED:
+                asked = loop.time()
+                if until():
+                    return int(signal.SIGTERM)
             for one in served:
                 one.poll()
             with contextlib.suppress(TimeoutError):

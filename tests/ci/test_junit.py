@@ -97,3 +97,20 @@ def test_a_dry_run_is_skipped_and_standard_output_is_no_file(
     assert case_of(file).find("skipped") is not None
     done = tworelay("identify", "virtual://bench", "--yes", "--junit", "-")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("fleet", "run", "nofleet.toml"), ("fleet", "run", "examples/bench.toml"),
+        ("identify", "nofile.toml", "--yes"),
+    ],
+)  # fmt: skip
+def test_no_old_file_stays_when_nothing_was_begun(
+    words: tuple[str, ...], tworelay: Tworelay, tmp_path: Path
+) -> None:
+    file = tmp_path / "act.xml"
+    file.write_text("old")
+    done = tworelay(*words, "--junit", str(file))
+    assert done.returncode == 2
+    assert case_of(file).find("error") is not None

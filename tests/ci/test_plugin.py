@@ -9,11 +9,14 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import time
 import venv
 import xml.etree.ElementTree as ET
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
+import psutil
 import pytest
 
 from tests.command import ROOT
@@ -139,3 +142,34 @@ def test_what_is_wrong_is_told_in_a_line(python: Path, project: Path) -> None:
     assert "did you mean 'bench'?" in said
     assert "tworelay identify nowhere: exit code 2" in said
     assert "Traceback" not in said
+    with pytest.raises(AssertionError) as caught:
+        run(python, project, *words, TWORELAY_COMMAND="no-such-command")
+    said = str(caught.value)
+    assert "TWORELAY_COMMAND: there is no program 'no-such-command'" in said
+    assert "Traceback" not in said
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no such signal")
+def test_a_drive_ends_with_the_tests_however_they_end(
+    python: Path, project: Path, tmp_path: Path
+) -> None:
+    """CI ends a job with SIGTERM, and its children with nothing."""
+    told = tmp_path / "link"
+    (project / "test_long.py").write_text(
+        "import time\n\ndef test_long(virtual_drive):\n"
+        f"    open({str(told)!r}, 'w').write(str(virtual_drive('bench').process.pid))\n"
+        "    time.sleep(60)\n"
+    )
+    words = [str(python), "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_long.py"]
+    with subprocess.Popen(words, cwd=project, stdout=subprocess.DEVNULL) as tests:
+        wait_for(lambda: told.exists() and told.read_text().isdigit())
+        drive = psutil.Process(int(told.read_text()))
+        tests.kill()
+    wait_for(lambda: not drive.is_running() or drive.status() == psutil.STATUS_ZOMBIE)
+
+
+def wait_for(happened: Callable[[], bool], patience: float = 60.0) -> None:
+    until = time.monotonic() + patience
+    while not happened():
+        assert time.monotonic() < until
+        time.sleep(0.05)

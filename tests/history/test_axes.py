@@ -3,33 +3,41 @@
 from __future__ import annotations
 
 from commissioning.history.axes import chosen, groups, in_order
-from commissioning.result.history import Renamed, name_now, names_before
+from commissioning.result.history import Note, Renamed, names_before, noted_name, own_name
 from tests.history.made import DAY, MARCH_3, run
 
 
 def test_an_axis_keeps_its_runs_under_all_its_names() -> None:
     renamed = [Renamed("a", "b", 5), Renamed("b", "c", 9)]
-    assert [name_now(*one, renamed) for one in (("a", 4), ("b", 8), ("c", 10))] == ["c"] * 3
+    assert [own_name(*one, renamed) for one in (("a", 4), ("b", 8), ("c", 10))] == ["c"] * 3
     assert set(names_before("c", renamed)) == {"a", "b", "c"}
     assert names_before("z", renamed) == ["z"]
 
 
 def test_a_name_that_is_given_again_is_another_axis() -> None:
     renamed = [Renamed("a", "b", 5)]
-    assert name_now("a", 5, renamed) == "b"
-    assert name_now("a", 6, renamed) == "a"
+    assert own_name("a", 5, renamed) == "b"
+    assert own_name("a", 6, renamed) == "a"
 
 
 def test_two_axes_change_names_by_a_third() -> None:
     renamed = [Renamed("a", "t", 5), Renamed("b", "a", 5), Renamed("t", "b", 5)]
-    assert (name_now("a", 1, renamed), name_now("b", 2, renamed)) == ("b", "a")
+    assert (own_name("a", 1, renamed), own_name("b", 2, renamed)) == ("b", "a")
     assert set(names_before("a", renamed)) >= {"a", "b"}
 
 
 def test_what_is_renamed_back_is_what_it_was() -> None:
     renamed = [Renamed("a", "b", 5), Renamed("b", "a", 5)]
-    assert name_now("a", 1, renamed) == "a"
-    assert name_now("a", 6, renamed) == "a"
+    assert own_name("a", 1, renamed) == "a"
+    assert own_name("a", 6, renamed) == "a"
+
+
+def test_a_note_is_renamed_by_what_comes_after_it() -> None:
+    """Also where no run lies in between."""
+    renamed = [Renamed("a", "t", 5, 1), Renamed("b", "a", 5, 2), Renamed("t", "b", 5, 3)]
+    assert noted_name(Note("a", 0.0, "", number=5, renamed=0), renamed) == "b"
+    assert noted_name(Note("a", 0.0, "", number=5, renamed=3), renamed) == "a"
+    assert noted_name(Note("a", 0.0, "", number=5, of_host="pc-b"), renamed) == "a"
 
 
 def test_two_computers_with_one_axis_name_have_two_axes() -> None:

@@ -8,6 +8,7 @@ import json
 import shutil
 import sqlite3
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -89,7 +90,7 @@ def test_drift_of_all_axes(tworelay: Tworelay) -> None:
     assert first.startswith("friction of b: +30 % ± ")
     assert "seen first on" in first
     assert last == (
-        "axes that changed: 1; unchanged: 0; with too few runs under like conditions to tell: 1"
+        "axes with an alarm: 1; without: 0; with too few runs under like conditions to tell: 1"
     )
     rows = json.loads(tworelay("history", "drift", "--json").stdout)
     assert {(one["axis"], one["state"]) for one in rows if one["quantity"] == "coulomb"} == {
@@ -177,9 +178,10 @@ def test_a_name_with_an_at_sign_is_a_name(tworelay: Tworelay) -> None:
 @pytest.mark.parametrize(
     "harm",
     [
-        "UPDATE maintenance SET at = 'abc'", "UPDATE maintenance SET at = 1e300",
-        "UPDATE maintenance SET number = 'x'", "UPDATE renamed_axes SET number = 'x'",
-        "UPDATE maintenance SET text = x'00ff'",
+        "UPDATE axis_notes SET at = 'abc'", "UPDATE axis_notes SET at = 1e300",
+        "UPDATE axis_notes SET number = 'x'", "UPDATE renamed_axes SET number = 'x'",
+        "UPDATE renamed_axes SET new = CAST(x'ff41' AS TEXT)",
+        "UPDATE axis_notes SET text = CAST(x'ff41' AS TEXT)",
     ],
 )  # fmt: skip
 def test_damaged_words_of_people_end_nothing(harm: str, tworelay: Tworelay) -> None:
@@ -381,6 +383,105 @@ def test_two_axes_are_joined_when_that_is_said(tworelay: Tworelay) -> None:
     assert "with another drive: with --join" in refused.stderr
     assert tworelay("history", "rename", "axis-0x1", "axis-0x2", "--join").returncode == 0
     assert len(names(tworelay, "axis-0x2")) == 2
+
+
+@pytest.fixture
+def at_host(
+    tworelay: Tworelay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., str]:
+    """A command on another computer, with a home of its own."""
+
+    def run(host: str, *words: str) -> str:
+        monkeypatch.setattr("platform.node", lambda: host)
+        done = tworelay(*words, environment={"TWORELAY_HOME": str(tmp_path / host)})
+        monkeypatch.undo()
+        monkeypatch.setenv("TWORELAY_HOME", str(tmp_path / "home"))
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return run
+
+
+def moved(at_host: Callable[..., str], tworelay: Tworelay, tmp_path: Path, host: str) -> None:
+    """All runs of another computer are taken in here."""
+    folder = tmp_path / f"from-{host}"
+    shutil.rmtree(folder, ignore_errors=True)
+    at_host(host, "export", "--all", str(folder))
+    assert tworelay("adopt", str(folder), "--yes").returncode == 0
+
+
+def test_our_names_are_not_theirs(
+    at_host: Callable[..., str], tworelay: Tworelay, tmp_path: Path
+) -> None:
+    """We rename our axis; theirs of that name, measured before and after, stays one axis."""
+    tworelay("identify", "virtual://bench", "--yes")
+    at_host("plc", "identify", "virtual://bench?seed=5", "--yes")
+    moved(at_host, tworelay, tmp_path, "plc")
+    tworelay("history", "rename", "bench", "press")
+    at_host("plc", "identify", "virtual://bench?seed=5", "--yes")
+    at_host("plc", "history", "note", "bench", "their note")
+    moved(at_host, tworelay, tmp_path, "plc")
+    theirs = story(tworelay, "bench@plc")
+    assert len(theirs["runs"]) == 2
+    assert [one["text"] for one in theirs["notes"]] == ["their note"]
+    assert len(names(tworelay, "press")) == 1
+    assert "press" in tworelay("history").stdout
+
+
+def test_their_names_and_notes_are_ours_when_the_run_comes_again(
+    at_host: Callable[..., str], tworelay: Tworelay, tmp_path: Path
+) -> None:
+    at_host("plc", "identify", "virtual://bench?seed=5", "--yes")
+    at_host("plc", "history", "note", "bench", "greased")
+    moved(at_host, tworelay, tmp_path, "plc")
+    at_host("plc", "history", "rename", "bench", "press")
+    at_host("plc", "history", "note", "press", "belt")
+    for _ in range(2):
+        moved(at_host, tworelay, tmp_path, "plc")
+        assert names(tworelay, "bench") == []
+        there = story(tworelay, "press")
+        assert len(there["runs"]) == 1
+        assert "belt" in [one["text"] for one in there["notes"]]
+        assert len(there["notes"]) <= 2
+    assert tworelay("report", there["runs"][0]["run"]).returncode == 0
+    assert tworelay("apply", there["runs"][0]["run"], "--yes").returncode == 0
+
+
+def test_one_s_own_runs_taken_in_again_add_no_note(tworelay: Tworelay, tmp_path: Path) -> None:
+    tworelay("identify", "virtual://bench", "--yes")
+    tworelay("history", "note", "bench", "greased")
+    tworelay("history", "rename", "bench", "press")
+    tworelay("history", "note", "press", "belt")
+    tworelay("export", "--all", str(tmp_path / "sent"))
+    assert tworelay("adopt", str(tmp_path / "sent"), "--yes").returncode == 0
+    assert [one["text"] for one in story(tworelay, "press")["notes"]] == ["greased", "belt"]
+
+
+def test_a_run_goes_on_with_the_notes_of_its_own_axis(
+    at_host: Callable[..., str], tworelay: Tworelay, tmp_path: Path
+) -> None:
+    """Ours and theirs have one name; what we noted on theirs goes back to them, and acts there."""
+    tworelay("identify", "virtual://bench", "--yes")
+    at_host("plc", "identify", "virtual://bench?seed=5", "--yes")
+    moved(at_host, tworelay, tmp_path, "plc")
+    tworelay("history", "note", "bench", "ours")
+    tworelay("history", "note", "bench@plc", "on theirs")
+    run = story(tworelay, "bench@plc")["runs"][0]["run"]
+    folder = tmp_path / "back"
+    assert tworelay("export", run, str(folder)).returncode == 0
+    sent_notes = json.loads((folder / "journal.json").read_text())["notes"]
+    assert [one["text"] for one in sent_notes] == ["on theirs"]
+    at_host("plc", "adopt", str(folder), "--yes")
+    found = json.loads(at_host("plc", "history", "bench", "--json"))
+    assert [one["text"] for one in found["notes"]] == ["on theirs"]
+
+
+def test_a_note_follows_when_a_renaming_is_taken_back(tworelay: Tworelay) -> None:
+    made([0.1], "A")
+    tworelay("history", "rename", "A", "B")
+    tworelay("history", "note", "B", "since then")
+    tworelay("history", "rename", "--undo")
+    assert [one["text"] for one in story(tworelay, "A")["notes"]] == ["since then"]
 
 
 def test_one_run_that_is_damaged_keeps_no_other_back(tworelay: Tworelay, tmp_path: Path) -> None:

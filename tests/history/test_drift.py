@@ -271,7 +271,44 @@ def test_an_alarm_stays_when_the_next_run_is_made_under_other_conditions(
     later = drift([*healthy, *worn, run(99, 0.15, conditions=at(last))], [], "coulomb")
     assert later is not None
     assert later.alarm
-    assert later.change == seen.change
+    assert later.change == pytest.approx(seen.change, rel=0.05)
+    if last != 18.0:  # which is like those at 26 °C
+        assert (later.newer, later.left_out) == (1, 1)
+        assert "(1 of them newer, the last that is compared of " in drift_words("x", later)
+
+
+@pytest.mark.parametrize("first", [20.0, 60.0])
+def test_an_alarm_of_one_kind_of_days_stays_until_such_a_day_ends_it(first: float) -> None:
+    """Cold and warm in turn; then warm ones with half as much more, and cold ones as ever."""
+    other = {20.0: 60.0, 60.0: 20.0}[first]
+    healthy = noisy(60)
+    entries = [
+        run(n, v, conditions=at(first if n % 2 else other)) for n, v in enumerate(healthy, 1)
+    ]
+    worn = [run(61 + n, 0.15, conditions=at(60.0)) for n in range(15)]
+    cold = [run(80 + n, v, conditions=at(20.0)) for n, v in enumerate(noisy(40, seed=6))]
+    for ending in ([], cold[:1], cold):
+        found = drift([*entries, *worn, *ending], [], "coulomb")
+        assert found is not None
+        assert found.alarm
+        assert found.change == pytest.approx(50, abs=3)
+        assert found.newer == len(ending)
+    mended = [run(200 + n, v, conditions=at(60.0)) for n, v in enumerate(noisy(20, seed=7))]
+    found = drift([*entries, *worn, *cold, *mended], [], "coulomb")
+    assert found is not None
+    assert not found.alarm
+
+
+def test_a_change_that_few_runs_show_stays_as_long() -> None:
+    entries = [run(1, 0.1, conditions=at(25.0))]
+    entries += [run(2 + n, 0.15, conditions=at(25.0)) for n in range(14)]
+    found = drift([*entries, run(20, 0.1, conditions=at(40.0))], [], "coulomb")
+    assert found is not None
+    assert (found.state, found.alarm) == ("changed", True)
+    many = [run(20 + n, 0.1, conditions=at(40.0)) for n in range(30)]
+    found = drift([*entries, *many], [], "coulomb")
+    assert found is not None
+    assert not found.alarm, "and not for ever"
 
 
 def test_a_baseline_of_noise_does_not_tell_what_the_temperature_does() -> None:

@@ -135,9 +135,12 @@ def test_a_run_that_was_just_measured_is_sound_in_the_index(tworelay: Tworelay) 
     assert entry.host
 
 
-@pytest.mark.parametrize("before", ["sound", "of an older version", "conditions lost"])
+@pytest.mark.parametrize(
+    "before", ["sound", "of an older version", "conditions lost", "mark lost", "minus zero"]
+)
 def test_numbers_outlive_the_files(before: str, tworelay: Tworelay) -> None:
-    tworelay("identify", "virtual://bench", "--yes")
+    warm = "-0.0" if before == "minus zero" else "31"
+    tworelay("identify", "virtual://bench", "--yes", "--motor-temperature", warm)
     with Journal(home()) as journal:
         if before == "of an older version":
             forget(journal)
@@ -146,11 +149,20 @@ def test_numbers_outlive_the_files(before: str, tworelay: Tworelay) -> None:
     if before == "conditions lost":
         with Journal(home()) as journal:
             journal._db.execute("DROP TABLE conditions")
+    if before == "mark lost":
+        with Journal(home()) as journal:
+            journal._db.execute("DELETE FROM indexed")
     for words in (("history", "bench"), ("history", "reindex"), ("history", "bench", "--json")):
         done = tworelay(*words)
         assert done.returncode == 0, done.stderr
     (run,) = json.loads(done.stdout)["runs"]
+    if before == "mark lost":  # what cannot be vouched for is not shown, and not deleted
+        with Journal(home(), reading=True) as journal:
+            assert journal._db.execute("SELECT COUNT(*) FROM results").fetchone()[0] >= 5
+        return
     assert run["quantities"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.01)
+    known = None if before == "conditions lost" else float(warm)
+    assert run["conditions"]["motor_temperature"] == known
     assert "0.1" in tworelay("history").stdout
 
 

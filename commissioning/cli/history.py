@@ -310,13 +310,16 @@ def _tree(one: Listed) -> dict[str, object]:
 @verbose
 def drift(gate: float, as_json: bool) -> None:
     """Which axes get worse: a line for each that has changed, and how many have not."""
-    from commissioning.history.story import all_axes
+    from commissioning.history.story import all_axes, names_now
     from commissioning.history.telling import drift_words
     from commissioning.journal import Journal
     from drivers.home import home
 
+    screen = Screen("-" if as_json else None, yes=True)
     with Journal(home(), reading=True) as journal:
-        stories = all_axes(journal, gate=gate)
+        count = len(names_now(journal))
+        with screen.counting("charting", count) as told:
+            stories = all_axes(journal, gate=gate, told=told)
     found = [(one, drift) for one in stories for drift in one.drifts]
     if as_json:
         document(
@@ -335,7 +338,6 @@ def drift(gate: float, as_json: bool) -> None:
             )
         )  # fmt: skip
         return
-    screen = Screen(None, yes=True)
     if not stories:
         screen.say("no runs")
         return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from commissioning.ending import operator
@@ -26,7 +26,7 @@ from commissioning.result.history import (
 from profiles.axis import axis_name
 from profiles.errors import UnknownName, UsageError
 
-__all__ = ["CHARTED", "add_note", "all_axes", "remove_note", "rename", "story_of"]
+__all__ = ["CHARTED", "add_note", "all_axes", "names_now", "remove_note", "rename", "story_of"]
 
 CHARTED = "coulomb", "viscous", "inertia"
 _LONGEST_NOTE = 1000  # characters
@@ -104,10 +104,16 @@ def _notes(journal: Journal, found: _Found) -> list[Note]:
     ]
 
 
-def all_axes(journal: Journal, *, gate: float = GATE) -> list[Story]:
-    """The history of each axis, by name."""
+def all_axes(
+    journal: Journal, *, gate: float = GATE, told: Callable[[int], None] = lambda step: None
+) -> list[Story]:
+    """The history of each axis, by name; `told` each, 1."""
     known = names_now(journal)
-    return [_story(journal, _find(journal, name, known), gate) for name in known]
+    found = []
+    for name in known:
+        found.append(_story(journal, _find(journal, name, known), gate))
+        told(1)
+    return found
 
 
 def names_now(journal: Journal) -> list[str]:

@@ -216,7 +216,7 @@ def _unlike(one: IndexedRun, newest: IndexedRun) -> str | None:
     here, there = one.conditions, newest.conditions
     a, b = here.motor_temperature, there.motor_temperature
     if (a is None) != (b is None):
-        return "of which the motor's temperature is not known" if a is None else "at a temperature"
+        return f"{'without' if a is None else 'with'} a known motor temperature"
     if a is not None and b is not None and abs(a - b) > _TEMPERATURE:
         return "colder" if a < b else "warmer"
     return None if here.third == there.third else "in another third of the travel"

@@ -37,7 +37,7 @@ class _Found:
     """An axis that was asked for.
 
     `called`: as it was asked for, without a computer. `name`: now. `names`: all that it had.
-    `of_name`: all axes of this name, of this computer and others.
+    `of_name`: all axes of this name, of this computer and others. `renamed`: all renamings.
     """
 
     called: str
@@ -45,7 +45,6 @@ class _Found:
     names: list[str]
     axis: SameAxis
     of_name: list[SameAxis]
-
     renamed: list[Renamed]
 
 

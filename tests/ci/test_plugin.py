@@ -76,11 +76,17 @@ def project(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("workers", ["0", "2"])
-def test_a_foreign_project_runs_its_tests(python: Path, project: Path, workers: str) -> None:
-    words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "-n", workers]
-    said = run(python, project, *words, CI="true", PYTHONPATH=str(project))
-    assert "8 passed" in said
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [(("-n", "2"), "8 passed"), (("-p", "no:xdist", "-k", "own or line or told"), "5 passed")],
+    ids=["with xdist", "without"],
+)
+def test_a_foreign_project_runs_its_tests(
+    python: Path, project: Path, words: tuple[str, ...], says: str
+) -> None:
+    pytest_there = ["-m", "pytest", "-q", "-p", "no:cacheprovider"]
+    said = run(python, project, *pytest_there, *words, CI="true", PYTHONPATH=str(project))
+    assert says in said
     assert "warning" not in said
 
 

@@ -143,7 +143,12 @@ def _conditions(first: RunResult, second: RunResult) -> list[str]:
             f"the motor was at {number(a)} °C and at {number(b)} °C: that alone changes friction"
         )
     if here.third != there.third:
-        found.append("not in the same third of the travel")
+        known = None not in (here.third, there.third)
+        found.append(
+            "not in the same third of the travel"
+            if known
+            else "the place in the travel is known in one of the runs only"
+        )
     return found
 
 

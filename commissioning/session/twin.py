@@ -166,10 +166,11 @@ def _file(axis: Axis, result: RunResult, profile: Profile | None) -> Axis:
         travel = travel or allowed.travel
         torque, speed = limits.torque or allowed.torque, limits.speed or allowed.speed
         limits = limits.model_copy(update={"torque": torque, "speed": speed})
+    cycle = axis.cycle or (result.experiment.cycle if result.experiment else None)
     return axis.model_copy(
         update={
-            "name": _twin_name(axis.name), "link": None, "travel": travel, "limits": limits,
-            "profile": None if profile is None else profile.name,
+            "cycle": cycle, "name": _twin_name(axis.name), "link": None, "travel": travel,
+            "limits": limits, "profile": None if profile is None else profile.name,
         }
     )  # fmt: skip
 

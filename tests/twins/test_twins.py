@@ -183,6 +183,7 @@ def test_a_twin_is_another_axis_and_starts_where_it_may(good: RunResult) -> None
     twin = made(good, Axis(name="x" * 100, limits=ends))
     assert twin.file.name == "x" * 93 + " (twin)"
     assert twin.file.limits.ends is None
+    assert twin.file.cycle == good.experiment.cycle
     assert twin.file.limits.torque == good.experiment.limits.torque
     assert any("ends of its travel" in line for line in twin.said)
     assert any("profile" in line for line in twin.said)

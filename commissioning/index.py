@@ -18,7 +18,15 @@ from commissioning.journal_file import OpenJournal
 from commissioning.result.document import RunResult
 from commissioning.result.experiment import Conditions
 from commissioning.result.found import Quantity
-from commissioning.result.history import IndexedRun, Note, Renamed, conditions_of, numbers_of
+from commissioning.result.history import (
+    IndexedRun,
+    Note,
+    Renamed,
+    conditions_of,
+    names_before,
+    noted_name,
+    numbers_of,
+)
 
 __all__ = ["Index"]
 
@@ -168,6 +176,29 @@ class Index(OpenJournal):
             ).fetchall()
         return [_note(tuple(row)) for row in rows]
 
+    def notes_on(self, axis: str, of_host: str | None, renamed: Sequence[Renamed]) -> list[Note]:
+        """Notes on the axis that is called so now, of a computer; None: of this one."""
+        return [
+            note
+            for note in self.notes(names_before(axis, renamed))
+            if noted_name(note, renamed) == axis and note.of_host == of_host
+        ]
+
+    def new_notes(self, axis: str, notes: Iterable[Note], of_host: str | None) -> list[Note]:
+        """Notes of another computer on an axis that are not known, as they go in.
+
+        `of_host` : whose axis it is; None: this computer's
+        """
+        renamed = self.renamed()
+        there = {(n.at, n.text) for n in self.notes_on(axis, of_host, renamed)}
+        last, now = self.last_number(), time.time()
+        seq = max((one.seq for one in renamed), default=0)
+        return [
+            Note(axis, min(n.at, now), n.text, n.who, n.host, last, seq, True, of_host)
+            for n in notes
+            if (min(n.at, now), n.text) not in there
+        ]
+
     @contextmanager
     def _any_text(self) -> Generator[None]:
         """Words of people are read, whatever became of them."""
@@ -222,14 +253,15 @@ class Index(OpenJournal):
             if isinstance(number, int)
         ]
 
-    def named(self, axes: Sequence[str]) -> list[tuple[str, int, bool]]:
-        """Name, place, and whether it is of another computer, of each run of these axes."""
+    def named(self, axes: Sequence[str], here: str) -> list[tuple[str, int, bool]]:
+        """Name, place, and whether it is of another computer than `here`, of each run of these."""
         marks = ",".join("?" * len(axes))
         with self._errors():
             rows = self._db.execute(
-                "SELECT axis, rowid, id IN (SELECT run FROM adopted) FROM runs "  # noqa: S608
-                f"WHERE axis IN ({marks})",
-                tuple(axes),
+                "SELECT axis, runs.rowid, adopted.run IS NOT NULL AND host IS NOT ? "  # noqa: S608
+                "FROM runs LEFT JOIN adopted ON adopted.run = id LEFT JOIN indexed "
+                f"ON indexed.run = id WHERE axis IN ({marks})",
+                (here, *axes),
             ).fetchall()
         return [(str(axis), int(number), bool(adopted)) for axis, number, adopted in rows]
 

@@ -11,7 +11,7 @@ import platform
 import re
 import sqlite3
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from commissioning.errors import JournalError
@@ -38,11 +38,9 @@ from commissioning.records import (
     run_of,
 )
 from commissioning.result.history import (
-    IndexedRun,
     Note,
+    computer_of,
     name_now,
-    names_before,
-    noted_name,
 )
 from drivers.places import same_place
 from profiles.errors import Refused, UnknownName, UsageError
@@ -317,19 +315,10 @@ class Journal(Index):
 
     def _of_axis(self, record: RunRecord) -> tuple[str, tuple[Note, ...]]:
         """What the axis of a run is called now, and the notes on it."""
-        entry, renamed = self.entry(record.id), self.renamed()
+        entry, renamed, here = self.entry(record.id), self.renamed(), platform.node()
         assert entry is not None
-        now = name_now(entry, renamed)
-        of_host = self.of_host(entry)
-        notes = self.notes(names_before(now, renamed))
-        return now, tuple(
-            n for n in notes if noted_name(n, renamed) == now and n.of_host == of_host
-        )
-
-    def of_host(self, entry: IndexedRun) -> str | None:
-        """The computer whose axis a run is of; None: this one."""
-        here = platform.node()
-        return None if not entry.adopted or entry.host in (None, here) else entry.host
+        now, of_host = name_now(entry, renamed, here), computer_of(entry, here)
+        return now, tuple(self.notes_on(now, of_host, renamed))
 
     def _image(self, record: RunRecord) -> dict[str, Cell]:
         """What the drive of a run has, by all that was written to it here, and its stores."""
@@ -424,27 +413,30 @@ class Journal(Index):
             self._db.execute("COMMIT")
         return run.id
 
-    def new_notes(self, history: History, of_host: str | None) -> list[Note]:
-        """Notes on the axis of a run of another computer that are not known, as they go in.
-
-        `of_host` : whose axis it is; None: this computer's
-        """
-        there = {(n.at, n.text) for n in self.notes()}
-        last, now = self.last_number(), time.time()
-        seq = max((one.seq for one in self.renamed()), default=0)
-        return [
-            Note(history.run.axis, min(n.at, now), n.text, n.who, n.host, last, seq, True, of_host)
-            for n in history.notes
-            if (min(n.at, now), n.text) not in there
-        ]
-
-    def call_adopted(self, run: str, axis: str, context: RunContext) -> None:
-        """A run of another computer is of an axis that is called otherwise there by now."""
+    def runs_of_host(self, axis: str, host: str) -> list[RunRecord]:
+        """Adopted runs of an axis of another computer."""
         with self._errors():
-            self._db.execute(
-                "UPDATE runs SET axis=?, context=? WHERE id=? AND id IN (SELECT run FROM adopted)",
-                (axis, context_text(context), run),
+            rows = self._db.execute(
+                "SELECT runs.* FROM runs JOIN adopted ON adopted.run = id JOIN indexed ON "
+                "indexed.run = id WHERE axis=? AND host=? ORDER BY runs.rowid",
+                (axis, host),
+            ).fetchall()
+            return [self._record(row) for row in rows]
+
+    def call_adopted(
+        self, contexts: Mapping[str, RunContext], old: str, new: str, host: str
+    ) -> None:
+        """An axis of another computer is called otherwise there by now: its runs, and notes."""
+        with self._errors():
+            self._db.execute("BEGIN IMMEDIATE")
+            self._db.executemany(
+                "UPDATE runs SET axis=?, context=? WHERE id=?",
+                [(new, context_text(context), run) for run, context in contexts.items()],
             )
+            self._db.execute(
+                "UPDATE axis_notes SET axis=? WHERE axis=? AND of_host=?", (new, old, host)
+            )
+            self._db.execute("COMMIT")
 
     def known_as(self, record: RunRecord) -> str | None:
         """What a run of another computer is called here; None: it is not known."""

@@ -42,6 +42,9 @@ _COMMANDS: dict[str, tuple[str, str]] = {
 }
 
 
+_WITH_JUNIT = "identify", "apply", "verify", "commission", "tune", "analyze", "fleet"
+
+
 class _LazyGroup(click.Group):
     """Commands by name; the module is imported when the command is needed."""
 
@@ -108,8 +111,9 @@ def _meant(message: str, where: click.Context | None) -> str:
 
 def _junit(error: Exception, message: str, code: str, exit_code: int) -> None:
     """What --junit is to say of what ended before it began."""
+    has_it = any(word in _WITH_JUNIT for word in sys.argv[1:2])
     told = getattr(error, "in_junit", False)
-    if not told and any(word.startswith("--junit") for word in sys.argv):
+    if has_it and not told and any(word.startswith("--junit") for word in sys.argv):
         from commissioning.cli.junit import not_begun
 
         not_begun(sys.argv[1:], message, code, exit_code)

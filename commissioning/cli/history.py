@@ -276,8 +276,8 @@ def _story_tree(story: Story, rows: list[Listed]) -> dict[str, object]:
         ],
         "drift": [
             {
-                **tree_of(one), "since": one.since and _iso(one.since),
-                "first_seen": one.first_seen and _iso(one.first_seen),
+                **tree_of(one), "since": None if one.since is None else _iso(one.since),
+                "first_seen": None if one.first_seen is None else _iso(one.first_seen),
                 "points": [{**tree_of(p), "began": _iso(p.began)} for p in one.points],
                 "words": drift_words(story.axis, one),
             }
@@ -329,8 +329,8 @@ def drift(gate: float, as_json: bool) -> None:
                         "axis": one.axis, "quantity": d.quantity, "state": d.state,
                         "alarm": d.alarm,
                         "change": d.change, "change_error": d.change_error,
-                        "since": d.since and _iso(d.since),
-                        "first_seen": d.first_seen and _iso(d.first_seen),
+                        "since": None if d.since is None else _iso(d.since),
+                        "first_seen": None if d.first_seen is None else _iso(d.first_seen),
                         "words": drift_words(one.axis, d),
                     }
                     for one, d in found
@@ -388,6 +388,8 @@ def rename(old: str | None, new: str | None, join: bool, undo: bool) -> None:
     from drivers.home import home
 
     screen = Screen(None, yes=True)
+    if undo and old is not None:
+        raise UsageError("--undo takes the last renaming back: it takes no names")
     with Journal(home()) as journal:
         if undo:
             back = journal.take_back_rename()

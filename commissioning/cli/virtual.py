@@ -144,6 +144,11 @@ def serve_axes(
     from profiles.library import load_profile
 
     until = _parent_is_gone() if with_parent else _never
+    if ready is not None:  # what is there is of drives that were served before
+        try:
+            ready.unlink(missing_ok=True)
+        except OSError as error:
+            raise UsageError(f"--ready {ready}: cannot be written: {error.strerror}") from None
     if len(axes) == 1 and axes[0].endswith(".toml"):
         sys.exit(128 + _serve_fleet(Path(axes[0]), clock, state, ready, until))
     endpoints = Endpoints(
@@ -184,7 +189,7 @@ def serve_axes(
         )
     key = "unit" if endpoints.is_modbus else "node"
     drives = _told_apart((_served(link, n, state, twin_of) for n, link in enumerate(links)), key)
-    told = _Ready(ready, axes)
+    told = _Ready(ready, axes, endpoints.count)
     sys.exit(128 + serve([BusOfDrives(drives, endpoints, found)], clock, told, until))
 
 
@@ -196,25 +201,27 @@ def _parent_is_gone() -> Callable[[], bool]:
     """Whether the process that started this one has ended since."""
     import os
 
+    parent = os.getppid()
+    if os.name != "nt":
+        return lambda: os.getppid() != parent
     import psutil
 
-    parent = psutil.Process(os.getppid())
-    return lambda: not parent.is_running()
+    process = psutil.Process(parent)
+    return lambda: not process.is_running()
 
 
 class _Ready:
     """Says each LINK, and leaves names and links in a file once each drive has one."""
 
-    def __init__(self, path: Path | None, names: Sequence[str]) -> None:
-        self._path, self._names = path, names
-        if path is not None:
-            path.unlink(missing_ok=True)  # of drives that were served before
+    def __init__(self, path: Path | None, names: Sequence[str], wires: int = 1) -> None:
+        self._path, self._names, self._wires = path, names, wires
         self._links: dict[int, list[str]] = {}
 
     def __call__(self, number: int, link: str) -> None:
         say(link)
         self._links.setdefault(number, []).append(link)
-        if self._path is not None and len(self._links) == len(self._names):
+        told = sum(len(links) for links in self._links.values())
+        if self._path is not None and told == self._wires * len(self._names):
             named = zip(self._names, (self._links[n] for n in sorted(self._links)), strict=True)
             _write(self._path, json_text([{"name": n, "links": found} for n, found in named]))
 
@@ -291,7 +298,7 @@ def _serve_runs(
         if one.link.integer(key, 1, 247) not in (None, number):
             say(f"{one.axis.name}: {key} {number}, since its own is another's here", err=True)
     left = [twins[0]] if axis_file else []
-    is_ready = _Ready(ready, [one.axis.name for one in twins])
+    is_ready = _Ready(ready, [one.axis.name for one in twins], endpoints.count)
 
     def told(number: int, link: str) -> None:
         if axis_file is not None and left:

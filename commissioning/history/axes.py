@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from commissioning.result.history import IndexedRun
+from commissioning.result.history import IndexedRun, computer_of
 
 __all__ = ["NO_SERIAL", "SameAxis", "chosen", "groups", "in_order"]
 
@@ -31,8 +31,7 @@ def groups(entries: Sequence[IndexedRun], here: str) -> list[SameAxis]:
     """
     by_origin: dict[str, list[IndexedRun]] = {}
     for one in entries:
-        ours = not one.adopted or one.host == here
-        by_origin.setdefault("" if ours else one.host or "another computer", []).append(one)
+        by_origin.setdefault(computer_of(one, here) or "", []).append(one)
     found: list[tuple[set[str], list[IndexedRun]]] = []
     for origin, those in by_origin.items():
         origins, mine = {origin}, list(those)

@@ -219,7 +219,10 @@ def _unlike(one: IndexedRun, newest: IndexedRun) -> str | None:
         return f"{'without' if a is None else 'with'} a known motor temperature"
     if a is not None and b is not None and abs(a - b) > _TEMPERATURE:
         return "colder" if a < b else "warmer"
-    return None if here.third == there.third else "in another third of the travel"
+    if here.third == there.third:
+        return None
+    known = None not in (here.third, there.third)
+    return "in another third of the travel" if known else "with the place known in one only"
 
 
 # -- the chart ------------------------------------------------------------------------------------

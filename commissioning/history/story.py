@@ -18,6 +18,7 @@ from commissioning.result.history import (
     Note,
     Renamed,
     Story,
+    computer_of,
     name_now,
     names_before,
     noted_name,
@@ -60,15 +61,25 @@ def _find(journal: Journal, asked: str, known: Sequence[str] | None = None) -> _
         called, _, host = asked.rpartition("@")
     name = called if called in known else _became(called, renamed)
     names = names_before(name, renamed)
-    of_name = groups(
-        [one for one in _entries(journal, names) if name_now(one, renamed) == name],
-        platform.node(),
-    )
+    of_name = groups(_of_name(_entries(journal, names), name, renamed), platform.node())
     axis = chosen(of_name, host)
     if axis is None:
         others = sorted(h for one in of_name for h in one.hosts)
         raise UnknownName("axis with runs", asked, [f"{called}@{h}" for h in others] or list(known))
     return _Found(called, name, names, axis, of_name, renamed)
+
+
+def _of_name(
+    entries: Sequence[IndexedRun], name: str, renamed: Sequence[Renamed]
+) -> list[IndexedRun]:
+    """Runs of axes that are called so now; and of other computers' on a drive of ours."""
+    here = platform.node()
+    theirs = [one for one in entries if computer_of(one, here) is not None]
+    found = {one.run for one in entries if name_now(one, renamed, here) == name}
+    foreign = {one.run for one in theirs}
+    drives = {one.serial for one in entries if one.run in found - foreign} - set(NO_SERIAL)
+    found |= {one.run for one in theirs if one.serial in drives}
+    return [one for one in entries if one.run in found]
 
 
 def story_of(journal: Journal, asked: str, *, gate: float = GATE) -> Story:
@@ -81,6 +92,8 @@ def story_of(journal: Journal, asked: str, *, gate: float = GATE) -> Story:
 
 def _story(journal: Journal, found: _Found, gate: float) -> Story:
     entries, name, notes = found.axis.entries, found.name, _notes(journal, found)
+    is_first = found.axis is found.of_name[0]
+    label = name if is_first or found.axis.is_ours else f"{name}@{min(found.axis.hosts)}"
     charts = (drift(entries, notes, quantity, gate=gate) for quantity in CHARTED)
     remarks = [f"'{found.called}' is called '{name}' now"] if name != found.called else []
     old = dict.fromkeys(one.axis for one in entries if one.axis != name)
@@ -88,7 +101,7 @@ def _story(journal: Journal, found: _Found, gate: float) -> Story:
     remarks += _others(found.of_name, found.axis, name)
     remarks += _same_drive(journal, found.axis, found.names)
     return Story(
-        name, entries, _drives(entries), tuple(notes), tuple(one for one in charts if one),
+        label, entries, _drives(entries), tuple(notes), tuple(one for one in charts if one),
         tuple(remarks),
     )  # fmt: skip
 
@@ -110,7 +123,8 @@ def all_axes(
     known = names_now(journal)
     found = []
     for name in known:
-        found.append(_story(journal, _find(journal, name, known), gate))
+        one = _find(journal, name, known)
+        found += [_story(journal, replace(one, axis=axis), gate) for axis in one.of_name]
         told(1)
     return found
 
@@ -122,7 +136,7 @@ def names_now(journal: Journal) -> list[str]:
     found = set(known) - set(old)
     found |= {
         name if adopted else own_name(name, number, renamed)
-        for name, number, adopted in journal.named(old)
+        for name, number, adopted in journal.named(old, platform.node())
     }
     return sorted(found)
 
@@ -234,7 +248,7 @@ def rename(journal: Journal, old: str, new: str, *, join: bool) -> None:
     if new in names_now(journal) and not join:
         there = _find(journal, new).axis
         drives = {one.serial for one in found.axis.entries} - set(NO_SERIAL)
-        if not drives & {one.serial for one in there.entries}:
+        if there.is_ours and not drives & {one.serial for one in there.entries}:
             raise UsageError(
                 f"there is an axis '{new}', with another drive: with --join its runs and those of "
                 f"'{found.name}' become one history"

@@ -51,8 +51,9 @@ def drift_words(axis: str, found: Drift) -> str:
     if found.state == "changed":
         small = "" if found.alarm else ", which is no alarm"
         return (
-            f"{of}: {change} {since}, seen on {day(found.first_seen or 0)}: the last run is "
-            f"outside both intervals{small}; {count} runs are too few for a chart{out}{warm}"
+            f"{of}: {change} {since}, seen on {day(found.first_seen or 0)}: the last that is "
+            f"compared is outside both intervals{small}; {count} runs are too few for a chart"
+            f"{out}{warm}"
         )
     if found.state == "in control":
         return (

@@ -23,6 +23,7 @@ __all__ = [
     "Renamed",
     "Story",
     "ValueSeen",
+    "computer_of",
     "conditions_of",
     "name_now",
     "names_before",
@@ -120,9 +121,18 @@ class Renamed:
     seq: int = 1
 
 
-def name_now(run: IndexedRun, renamed: Iterable[Renamed]) -> str:
+def computer_of(run: IndexedRun, here: str) -> str | None:
+    """The computer whose axis a run is of; None: `here`, this one."""
+    if not run.adopted or run.host == here:
+        return None
+    return run.host or "another computer"
+
+
+def name_now(run: IndexedRun, renamed: Iterable[Renamed], here: str) -> str:
     """What the axis of a run is called now; those of other computers are renamed there."""
-    return run.axis if run.adopted else own_name(run.axis, run.number, renamed)
+    if computer_of(run, here) is not None:
+        return run.axis
+    return own_name(run.axis, run.number, renamed)
 
 
 def own_name(name: str, number: int, renamed: Iterable[Renamed]) -> str:

@@ -16,6 +16,7 @@ from pathlib import Path
 from commissioning.desk import Desk
 from commissioning.records import History, Intent
 from commissioning.result.document import RunResult
+from commissioning.result.history import computer_of
 from commissioning.runs import RunFolder, resolve
 from commissioning.session.named import axis_of_run
 from drivers.link import check_files_of_others
@@ -108,9 +109,9 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
         )
     samples = folder.samples()
     called = _named(history, path)
-    now = replace(history, run=replace(record, axis=called))
-    whose = None if result.host in (None, platform.node()) else result.host
-    notes = desk.journal.new_notes(now, whose)
+    here_is = platform.node()
+    whose = None if result.host == here_is else result.host or "another computer"
+    notes = desk.journal.new_notes(called, history.notes, whose)
     texts = tuple(note.text for note in notes)
     show(Adopted(run, axis, record.serial, own, history.intents, called, texts))
     if here != run:
@@ -145,13 +146,14 @@ def _again(history: History, result: RunResult, known: str, path: Path, desk: De
     """
     entry = desk.journal.entry(known)
     assert entry is not None
-    of_host = desk.journal.of_host(entry)
-    if of_host is not None and (called := _named(history, path)) != entry.axis:
-        _call(known, called, desk)
-        desk.tell(f"run {known} is known here: its axis '{entry.axis}' is called '{called}' now")
-        entry = replace(entry, axis=called)
-    axis = entry.axis
-    notes = desk.journal.new_notes(replace(history, run=replace(history.run, axis=axis)), of_host)
+    of_host = computer_of(entry, platform.node())
+    called, axis = _named(history, path), desk.journal.history(known, of_drive=False).named
+    # an export from before the renaming has the name of the run still
+    if of_host is not None and called not in (axis, history.run.axis):
+        _call(axis, called, of_host, desk)
+        desk.tell(f"run {known} is known here: its axis '{axis}' is called '{called}' now")
+        axis = called
+    notes = desk.journal.new_notes(axis, history.notes, of_host)
     if not notes:
         desk.tell(f"run {known} is known here: nothing was taken in")
         return
@@ -166,14 +168,16 @@ def _again(history: History, result: RunResult, known: str, path: Path, desk: De
         desk.journal.note_on(note)
 
 
-def _call(run: str, called: str, desk: Desk) -> None:
-    """The axis of an adopted run gets the name that it has where it is."""
-    record, folder = desk.journal.run(run), RunFolder.of(desk.journal, run)
-    axis = Axis.model_validate_json(record.context.axis).model_copy(update={"name": called})
-    context = replace(record.context, axis=axis.model_dump_json())
-    with contextlib.suppress(UsageError):  # its files are gone
-        folder.save(replace(folder.result(), axis=called))
-    desk.journal.call_adopted(run, called, context)
+def _call(old: str, new: str, host: str, desk: Desk) -> None:
+    """An axis of another computer gets the name that it has there, with all its runs and notes."""
+    contexts = {}
+    for record in desk.journal.runs_of_host(old, host):
+        axis = Axis.model_validate_json(record.context.axis).model_copy(update={"name": new})
+        contexts[record.id] = replace(record.context, axis=axis.model_dump_json())
+        folder = RunFolder.of(desk.journal, record.id)
+        with contextlib.suppress(UsageError):  # its files are gone
+            folder.save(replace(folder.result(), axis=new))
+    desk.journal.call_adopted(contexts, old, new, host)
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,6 +45,13 @@ class Endpoints:
     slcan_pty: bool = False
 
     @property
+    def count(self) -> int:
+        """How many wires there are."""
+        return sum(map(bool, (self.modbus_tcp, self.modbus_rtu_tcp, self.modbus_rtu_pty))) + sum(
+            map(bool, (self.socketcand, self.slcan_pty))
+        )
+
+    @property
     def is_modbus(self) -> bool:
         """Whether there is a Modbus wire."""
         return bool(self.modbus_tcp or self.modbus_rtu_tcp or self.modbus_rtu_pty)

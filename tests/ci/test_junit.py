@@ -114,3 +114,17 @@ def test_no_old_file_stays_when_nothing_was_begun(
     done = tworelay(*words, "--junit", str(file))
     assert done.returncode == 2
     assert case_of(file).find("error") is not None
+
+
+def test_a_fleet_that_is_refused_keeps_a_case_an_axis(tworelay: Tworelay, tmp_path: Path) -> None:
+    file = tmp_path / "fleet.xml"
+    done = tworelay("fleet", "run", "examples/press-line-7.toml", "--junit", str(file))
+    assert done.returncode == 3, done.stderr
+    cases = [one.get("name") for one in ET.parse(file).getroot().iter("testcase")]
+    assert cases == ["gantry-left: identify", "gantry-right: identify", "table: identify"]
+
+
+def test_a_command_without_the_option_writes_no_file(tworelay: Tworelay, tmp_path: Path) -> None:
+    file = tmp_path / "act.xml"
+    assert tworelay("history", "list", "--junit", str(file)).returncode == 2
+    assert not file.exists()

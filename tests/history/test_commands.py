@@ -204,6 +204,7 @@ def test_damaged_words_of_people_end_nothing(harm: str, tworelay: Tworelay) -> N
     [
         (("note", "x", "later", "--at", "9999-12-31"), "lies in the future"),
         (("rename", "x"), "give OLD and NEW, or --undo"),
+        (("rename", "x", "y", "--undo"), "it takes no names"),
         (("x", "--json", "--csv", "-"), "both want standard output"),
         (("note", "y", "regreased"), "no axis with runs named 'y'; there are: x"),
         (("note", "x", ""), "a note has 1 to 1000 printable characters"),
@@ -441,10 +442,88 @@ def test_their_names_and_notes_are_ours_when_the_run_comes_again(
         assert names(tworelay, "bench") == []
         there = story(tworelay, "press")
         assert len(there["runs"]) == 1
-        assert "belt" in [one["text"] for one in there["notes"]]
-        assert len(there["notes"]) <= 2
+        assert [one["text"] for one in there["notes"]] == ["greased", "belt"]
     assert tworelay("report", there["runs"][0]["run"]).returncode == 0
     assert tworelay("apply", there["runs"][0]["run"], "--yes").returncode == 0
+
+
+def test_all_runs_of_an_axis_that_was_renamed_there_follow(
+    at_host: Callable[..., str], tworelay: Tworelay, tmp_path: Path
+) -> None:
+    for _ in range(2):
+        at_host("plc", "identify", "virtual://bench?seed=5", "--yes")
+    at_host("plc", "history", "note", "bench", "greased")
+    moved(at_host, tworelay, tmp_path, "plc")
+    before = tmp_path / "before"
+    shutil.copytree(tmp_path / "from-plc", before)
+    at_host("plc", "history", "rename", "bench", "press")
+    at_host("plc", "export", "last", str(tmp_path / "one"))
+    assert tworelay("adopt", str(tmp_path / "one"), "--yes").returncode == 0
+    assert tworelay("adopt", str(before), "--yes").returncode == 0, "an older export"
+    there = story(tworelay, "press")
+    assert len(there["runs"]) == 2
+    assert [one["text"] for one in there["notes"]] == ["greased"]
+
+
+def test_notes_of_one_day_on_two_axes_are_two(
+    at_host: Callable[..., str], tworelay: Tworelay, tmp_path: Path
+) -> None:
+    for axis in ("bench", "hsm150"):
+        at_host("plc", "identify", f"virtual://{axis}", "--yes")
+        at_host("plc", "history", "note", axis, "regreased", "--at", "2026-01-01")
+    moved(at_host, tworelay, tmp_path, "plc")
+    for axis in ("bench", "hsm150"):
+        assert [one["text"] for one in story(tworelay, axis)["notes"]] == ["regreased"]
+
+
+def test_a_home_that_was_restored_is_one_s_own(tworelay: Tworelay, tmp_path: Path) -> None:
+    """Export, a new home on the same computer, adopt: names and notes are ours still."""
+    tworelay("identify", "virtual://bench", "--yes")
+    tworelay("history", "note", "bench", "greased")
+    tworelay("export", "--all", str(tmp_path / "sent"))
+    shutil.rmtree(home())
+    tworelay("adopt", str(tmp_path / "sent"), "--yes")
+    tworelay("history", "rename", "bench", "press")
+    there = story(tworelay, "press")
+    assert len(there["runs"]) == 1
+    assert [one["text"] for one in there["notes"]] == ["greased"]
+
+
+def test_what_others_noted_comes_back_to_the_present_name(
+    at_host: Callable[..., str], tworelay: Tworelay, tmp_path: Path
+) -> None:
+    tworelay("identify", "virtual://bench", "--yes")
+    tworelay("export", "last", str(tmp_path / "out"))
+    at_host("plc", "adopt", str(tmp_path / "out"), "--yes")
+    at_host("plc", "history", "note", "bench", "new belt")
+    tworelay("history", "rename", "bench", "press")
+    run = json.loads(at_host("plc", "history", "bench", "--json"))["runs"][0]["run"]
+    at_host("plc", "export", run, str(tmp_path / "back"))
+    done = tworelay("adopt", str(tmp_path / "back"))
+    assert "on axis 'press' will be TAKEN IN" in done.stdout
+    assert tworelay("adopt", str(tmp_path / "back"), "--yes").returncode == 0
+    assert [one["text"] for one in story(tworelay, "press")["notes"]] == ["new belt"]
+
+
+def test_one_drive_is_one_history_also_when_ours_is_renamed(
+    at_host: Callable[..., str], tworelay: Tworelay, tmp_path: Path
+) -> None:
+    tworelay("identify", "virtual://bench", "--yes")
+    at_host("plc", "identify", "virtual://bench", "--yes")
+    moved(at_host, tworelay, tmp_path, "plc")
+    assert len(names(tworelay, "bench")) == 2
+    tworelay("history", "rename", "bench", "press")
+    assert len(names(tworelay, "press")) == 2
+
+
+def test_drift_looks_at_the_axes_of_all_computers(
+    at_host: Callable[..., str], tworelay: Tworelay, tmp_path: Path
+) -> None:
+    tworelay("identify", "virtual://bench", "--yes")
+    at_host("plc", "identify", "virtual://bench?seed=5", "--yes")
+    moved(at_host, tworelay, tmp_path, "plc")
+    rows = json.loads(tworelay("history", "drift", "--json").stdout)
+    assert {one["axis"] for one in rows} == {"bench", "bench@plc"}
 
 
 def test_one_s_own_runs_taken_in_again_add_no_note(tworelay: Tworelay, tmp_path: Path) -> None:

@@ -211,6 +211,7 @@ def test_several_twins_of_one_unit_are_numbered(good: RunResult) -> None:
         (("--from", "last", "--from", "last", "--axis-file", "a.toml"), 2, "do not go into one"),
         (("bench", "--modbus-tcp", "0", "--axis-file", "a.toml"), 2, "belongs to --from"),
         (("--from", "last", "--axis-file", "README.md"), 2, "is there already"),
+        (("bench", "--modbus-tcp", "0", "--ready", "README.md/x"), 2, "--ready"),
     ],
 )
 def test_what_cannot_be_served(

@@ -128,6 +128,7 @@ def conduct(plan: Fleet, wishes: FleetWishes, screen: Screen, outputs: Outputs) 
         except TwoRelayError as refused:
             if refused.exit_code >= _NOTHING_STARTED:
                 write_outputs(not_begun(plan, str(refused), tool()), *outputs)
+                refused.__dict__["in_junit"] = True
             raise
         final_table(result, screen)
         for path in pages.write(result):
@@ -136,6 +137,7 @@ def conduct(plan: Fleet, wishes: FleetWishes, screen: Screen, outputs: Outputs) 
             screen.say(line)
         write_outputs(result, *outputs)
         if error is not None:
+            error.__dict__["in_junit"] = True
             raise error
     if not any(axis.began for axis in result.axes):
         sys.exit(_NOTHING_STARTED)

@@ -189,12 +189,15 @@ def _others(of_name: Sequence[SameAxis], group: SameAxis, name: str) -> list[str
 def _same_drive(journal: Journal, group: SameAxis, names: Sequence[str]) -> list[str]:
     """Other names under which the drive of the last run was measured."""
     serial = group.entries[-1].serial
-    if not group.is_ours or serial in NO_SERIAL or group.entries[-1].link.startswith("virtual:"):
+    if serial in NO_SERIAL or group.entries[-1].link.startswith("virtual:"):
         return []  # virtual drives of the same options are the same
     others = [one for one in journal.names_of_drives([serial]).get(serial, []) if one not in names]
+    way = "'tworelay adopt' of all its runs, exported anew,"
+    if group.is_ours and others:
+        way = f'\'tworelay history rename "{others[-1]}" "{names[0]}"\''
     return [
-        f"its drive {serial} was measured as axis '{other}', too: if that is this axis, 'tworelay "
-        f'history rename "{other}" "{names[0]}"\' puts them together'
+        f"its drive {serial} was measured as axis '{other}', too: if that is this axis, {way} puts "
+        "them together"
         for other in others[-1:]
     ]
 

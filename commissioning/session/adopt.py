@@ -75,7 +75,7 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
         raise UsageError(f"{path}: '{run:.100}' is no id of a run")
     known = desk.journal.known_as(record)
     if known is not None:
-        _again(history, folder.result(), known, path, desk)
+        _again(history, known, path, desk)
         return known
     here = desk.journal.free_id(run)
     target, result = RunFolder.of(desk.journal, here), folder.result()
@@ -139,10 +139,10 @@ def _named(history: History, path: Path) -> str:
         raise UsageError(f"{path}: the name of its axis {error}") from None
 
 
-def _again(history: History, result: RunResult, known: str, path: Path, desk: Desk) -> None:
+def _again(history: History, known: str, path: Path, desk: Desk) -> None:
     """A run that is known comes again: its axis may have another name by now, and more notes.
 
-    Notes are taken in once that is agreed.
+    Both once that is agreed.
     """
     entry = desk.journal.entry(known)
     assert entry is not None
@@ -150,8 +150,13 @@ def _again(history: History, result: RunResult, known: str, path: Path, desk: De
     called, axis = _named(history, path), desk.journal.history(known, of_drive=False).named
     # an export from before the renaming has the name of the run still
     if of_host is not None and called not in (axis, history.run.axis):
+        desk.agree(
+            f"Run {known} is known here. Axis '{axis}' of {of_host} is called '{called}' there now, "
+            "and all its runs will be here.",
+            called,
+            "it keeps its name",
+        )
         _call(axis, called, of_host, desk)
-        desk.tell(f"run {known} is known here: its axis '{axis}' is called '{called}' now")
         axis = called
     notes = desk.journal.new_notes(axis, history.notes, of_host)
     if not notes:

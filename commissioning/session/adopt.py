@@ -151,8 +151,8 @@ def _again(history: History, known: str, path: Path, desk: Desk) -> None:
     # an export from before the renaming has the name of the run still
     if of_host is not None and called not in (axis, history.run.axis):
         desk.agree(
-            f"Run {known} is known here. Axis '{axis}' of {of_host} is called '{called}' there now, "
-            "and all its runs will be here.",
+            f"Run {known} is known here. Axis '{axis}' of {of_host} is called '{called}' there "
+            "now, and all its runs will be here.",
             called,
             "it keeps its name",
         )

@@ -590,6 +590,22 @@ def test_notes_on_a_run_that_is_known_are_asked_for(tworelay: Tworelay, tmp_path
     assert note["at"][:2] == "20", "not of the year 9999"
 
 
+def test_the_report_says_under_which_conditions(tworelay: Tworelay, tmp_path: Path) -> None:
+    axis = tmp_path / "press.toml"
+    axis.write_text(
+        'link = "virtual://bench"\nprofile = "virtual-modbus"\ntravel = 3\n'
+        "[limits]\nends = [-20, 4]\n"
+    )
+    done = tworelay("identify", str(axis), "--yes", "--motor-temperature", "41")
+    assert done.returncode == 0, done.stderr
+    page = Path(tworelay("report", "last").stdout.strip()).read_text("utf-8")
+    assert "motor at 41 °C, upper third of the travel" in page
+    axis.write_text(axis.read_text().replace("[-20, 4]", "[-20, 2]"))
+    refused = tworelay("identify", str(axis), "--yes")
+    assert refused.returncode == 3
+    assert "2 rad from the ends of its travel (-20…2 rad)" in refused.stderr
+
+
 def test_a_run_says_on_which_computer_it_was(tworelay: Tworelay) -> None:
     import platform
 

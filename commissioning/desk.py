@@ -20,7 +20,7 @@ from drivers.link_text import is_simulated
 from drivers.places import same_place
 from profiles.axis import Axis
 from profiles.errors import IdentityMismatch, Refused
-from profiles.identity import Identity
+from profiles.identity import NO_SERIAL, Identity
 from profiles.library import digest
 from profiles.schema import Profile
 
@@ -183,15 +183,12 @@ def _allowed_here(axis: Axis) -> None:
         )
 
 
-_NO_SERIAL = ("", "0x00000000")
-
-
 def same_drive(found: Identity, serial: str, run: str, link: str, desk: Desk) -> None:
     """Raise IdentityMismatch unless the drive on the link is the run's own.
 
     A drive that tells no serial number is taken for it only when the user says so.
     """
-    if serial in _NO_SERIAL and found.serial in _NO_SERIAL:
+    if serial in NO_SERIAL and found.serial in NO_SERIAL:
         desk.agree(
             f"The drive tells no serial number, so it cannot be checked that {link} is the drive "
             f"of run {run}.",

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import sqlite3
 import time
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Collection, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from dataclasses import astuple, fields, replace
 from functools import partial
@@ -31,7 +31,6 @@ from commissioning.result.history import (
 __all__ = ["Index"]
 
 _CONDITIONS = tuple(one.name for one in fields(Conditions))
-_MOST_NAMES = 500  # of one question
 _DAY = 86400.0  # s
 Row = tuple[Any, ...]
 
@@ -165,23 +164,25 @@ class Index(OpenJournal):
                 (note.axis, note.of_host, note.at, note.text),
             )
 
-    def notes(self, axes: Sequence[str] | None = None) -> list[Note]:
-        """Notes on axes of these names, in the order in which they were made; None: all."""
-        marks = "" if axes is None else f"WHERE axis IN ({','.join('?' * len(axes))})"
+    def notes(self, axes: Sequence[str]) -> list[Note]:
+        """Notes on axes of these names, in the order in which they were made."""
+        marks = ",".join("?" * len(axes))
         with self._errors(), self._any_text():
             rows = self._db.execute(
                 "SELECT axis, of_host, at, who, host, text, number, renamed, dated "  # noqa: S608
-                f"FROM axis_notes {marks} ORDER BY seq",
-                tuple(axes or ()),
+                f"FROM axis_notes WHERE axis IN ({marks}) ORDER BY seq",
+                tuple(axes),
             ).fetchall()
         return [_note(tuple(row)) for row in rows]
 
-    def notes_on(self, axis: str, of_host: str | None, renamed: Sequence[Renamed]) -> list[Note]:
-        """Notes on the axis that is called so now, of a computer; None: of this one."""
+    def notes_on(
+        self, axis: str, of_hosts: Collection[str | None], renamed: Sequence[Renamed]
+    ) -> list[Note]:
+        """Notes on the axis that is called so now, of these computers; None: of this one."""
         return [
             note
             for note in self.notes(names_before(axis, renamed))
-            if noted_name(note, renamed) == axis and note.of_host == of_host
+            if noted_name(note, renamed) == axis and note.of_host in of_hosts
         ]
 
     def new_notes(self, axis: str, notes: Iterable[Note], of_host: str | None) -> list[Note]:
@@ -190,7 +191,7 @@ class Index(OpenJournal):
         `of_host` : whose axis it is; None: this computer's
         """
         renamed = self.renamed()
-        there = {(n.at, n.text) for n in self.notes_on(axis, of_host, renamed)}
+        there = {(n.at, n.text) for n in self.notes_on(axis, (of_host,), renamed)}
         last, now = self.last_number(), time.time()
         seq = max((one.seq for one in renamed), default=0)
         return [
@@ -265,20 +266,13 @@ class Index(OpenJournal):
             ).fetchall()
         return [(str(axis), int(number), bool(adopted)) for axis, number, adopted in rows]
 
-    def names_of_drives(self, serials: Iterable[str]) -> dict[str, list[str]]:
-        """What axes with drives of these serial numbers are called, in order."""
-        asked = list(dict.fromkeys(serials))[:_MOST_NAMES]
-        marks = ",".join("?" * len(asked))
+    def names_of_drive(self, serial: str) -> list[str]:
+        """What axes with the drive of a serial number are called, the last one last."""
         with self._errors():
             rows = self._db.execute(
-                "SELECT serial, axis, MAX(rowid) AS last FROM runs "  # noqa: S608
-                f"WHERE serial IN ({marks}) GROUP BY serial, axis ORDER BY last",
-                asked,
+                "SELECT axis FROM runs WHERE serial=? GROUP BY axis ORDER BY MAX(rowid)", (serial,)
             ).fetchall()
-        found: dict[str, list[str]] = {}
-        for serial, axis, _ in rows:
-            found.setdefault(str(serial), []).append(str(axis))
-        return found
+        return [str(row[0]) for row in rows]
 
 
 def _rows(result: RunResult | None) -> tuple[Row, list[Row], Row]:

@@ -318,7 +318,7 @@ class Journal(Index):
         entry, renamed, here = self.entry(record.id), self.renamed(), platform.node()
         assert entry is not None
         now, of_host = name_now(entry, renamed, here), computer_of(entry, here)
-        return now, tuple(self.notes_on(now, of_host, renamed))
+        return now, tuple(self.notes_on(now, (of_host,), renamed))
 
     def _image(self, record: RunRecord) -> dict[str, Cell]:
         """What the drive of a run has, by all that was written to it here, and its stores."""

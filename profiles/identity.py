@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from profiles.strict import Strict
 
-__all__ = ["NOBODY", "Identity", "IdentityMatch"]
+__all__ = ["NOBODY", "NO_SERIAL", "Identity", "IdentityMatch"]
+
+NO_SERIAL = "", "0x00000000"  # of drives that tell none
 
 
 class IdentityMatch(Strict):

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 import time
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from commissioning.cli.options import verbose
-from commissioning.cli.output import document, json_text
+from commissioning.cli.output import document, json_text, written
 from commissioning.cli.terminal import Finite, Screen, at_desk, check_json
 from profiles.axis import load_axis
 from profiles.errors import UnknownName, UsageError
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 _DAY = 86400.0  # s
-_SHOWN = "coulomb", "viscous", "inertia"
 _MANY = 50  # runs: from here on indexing takes a while
 
 
@@ -165,7 +163,7 @@ def _one_axis(
     if csv_target == "-":
         document(csv_text(story))
     elif csv_target is not None:
-        _write(csv_target, csv_text(story).encode())
+        written(csv_text(story).encode(), csv_target, Path(csv_target), "")
     if picture is not None:
         _draw(story, picture)
     if as_json:
@@ -193,20 +191,21 @@ def _one_axis(
 def _table(screen: Screen, story: Story, rows: list[Listed], first: int) -> None:
     """The runs with their numbers; a line where something happened, and beneath, what."""
     from commissioning.history.telling import LABELS, day, events
+    from commissioning.result.history import CHARTED
 
     shown = story.entries[first:]
     units = {name: q.unit for one in story.entries for name, q in one.quantities.items()}
     warm = any(one.conditions.motor_temperature is not None for one in shown)
     methods = len({one.method for one in shown if one.method}) > 1
     columns = ["run", "verdict", *(["method"] if methods else []), *(["motor °C"] if warm else [])]
-    columns += [f"{LABELS[name]} in {units[name]}" if name in units else "" for name in _SHOWN]
+    columns += [f"{LABELS[name]} in {units[name]}" if name in units else "" for name in CHARTED]
     table = []
     for one, entry in zip(rows, shown, strict=True):
         row = [f"{one.run}{' (adopted)' if one.adopted else ''}", one.verdict]
         row += [entry.method or ""] if methods else []
         at = entry.conditions.motor_temperature
         row += ["" if at is None else f"{at:.4g}"] if warm else []
-        table.append([*row, *(_quantity(entry.quantities.get(name), "") for name in _SHOWN)])
+        table.append([*row, *(_quantity(entry.quantities.get(name), "") for name in CHARTED)])
     happened = [(n, at, text) for n, at, text in events(story) if n >= first]
     screen.table(
         f"axis {story.axis}, newest last", columns, table,
@@ -237,14 +236,7 @@ def _draw(story: Story, target: str) -> None:
     said = [one for one in story.drifts if one.alarm] or list(story.drifts[:1])
     words = "; ".join(drift_words(story.axis, one) for one in said)
     happened = [(at, text) for _, at, text in events(story)]
-    _write(target, picture(story, words, happened, kind[1:]))
-
-
-def _write(target: str, content: bytes) -> None:
-    try:
-        Path(target).write_bytes(content)
-    except OSError as error:
-        raise UsageError(f"{target}: cannot be written: {error.strerror}") from None
+    written(picture(story, words, happened, kind[1:]), target, Path(target), "")
 
 
 def _story_tree(story: Story, rows: list[Listed]) -> dict[str, object]:
@@ -252,6 +244,7 @@ def _story_tree(story: Story, rows: list[Listed]) -> dict[str, object]:
     from commissioning.history.telling import drift_words
     from commissioning.result.codec import tree_of
     from commissioning.result.history import HISTORY_SCHEMA
+    from commissioning.result.words import iso
 
     entries = {one.run: one for one in story.entries}
     runs = []
@@ -271,14 +264,14 @@ def _story_tree(story: Story, rows: list[Listed]) -> dict[str, object]:
         "schema": HISTORY_SCHEMA, "axis": story.axis, "runs": runs,
         "drives": tree_of(story.drives),
         "notes": [
-            {"at": _iso(note.at), "who": note.who, "host": note.host, "text": note.text}
+            {"at": iso(note.at), "who": note.who, "host": note.host, "text": note.text}
             for note in story.notes
         ],
         "drift": [
             {
-                **tree_of(one), "since": None if one.since is None else _iso(one.since),
-                "first_seen": None if one.first_seen is None else _iso(one.first_seen),
-                "points": [{**tree_of(p), "began": _iso(p.began)} for p in one.points],
+                **tree_of(one), "since": iso(one.since),
+                "first_seen": iso(one.first_seen),
+                "points": [{**tree_of(p), "began": iso(p.began)} for p in one.points],
                 "words": drift_words(story.axis, one),
             }
             for one in story.drifts
@@ -287,15 +280,13 @@ def _story_tree(story: Story, rows: list[Listed]) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _iso(instant: float) -> str:
-    return datetime.fromtimestamp(instant).astimezone().isoformat(timespec="seconds")
-
-
 def _tree(one: Listed) -> dict[str, object]:
     """A row for JSON."""
+    from commissioning.result.words import iso
+
     f = one.coulomb
     return {
-        "run": one.run, "axis": one.axis, "began": _iso(one.began), "verdict": one.verdict,
+        "run": one.run, "axis": one.axis, "began": iso(one.began), "verdict": one.verdict,
         "coulomb": f and {"value": f.value, "low": f.low, "high": f.high, "unit": f.unit},
         "drive": one.drive, "adopted": one.adopted,
     }  # fmt: skip
@@ -313,6 +304,7 @@ def drift(gate: float, as_json: bool) -> None:
     from commissioning.history.story import all_axes, names_now
     from commissioning.history.telling import drift_words
     from commissioning.journal import Journal
+    from commissioning.result.words import iso
     from drivers.home import home
 
     screen = Screen("-" if as_json else None, yes=True)
@@ -329,8 +321,8 @@ def drift(gate: float, as_json: bool) -> None:
                         "axis": one.axis, "quantity": d.quantity, "state": d.state,
                         "alarm": d.alarm,
                         "change": d.change, "change_error": d.change_error,
-                        "since": None if d.since is None else _iso(d.since),
-                        "first_seen": None if d.first_seen is None else _iso(d.first_seen),
+                        "since": iso(d.since),
+                        "first_seen": iso(d.first_seen),
                         "words": drift_words(one.axis, d),
                     }
                     for one, d in found

@@ -273,11 +273,11 @@ def _serve_runs(
 ) -> int:
     """Twins of the axes that runs measured, on one bus; a LINK a line."""
     from commissioning.journal import Journal
-    from commissioning.session.twin import measured_twin, numbered
+    from commissioning.session.twin import endpoints_like, measured_twin, numbered
     from drivers.home import home
     from drivers.virtual.habits import habits_of
     from drivers.virtual.serve import serve
-    from drivers.virtual.served import BusOfDrives, endpoints_like
+    from drivers.virtual.served import BusOfDrives
     from profiles.axis import axis_text
 
     if len(runs) > 1 and (state or axis_file):

@@ -10,7 +10,7 @@ from commissioning.errors import JournalError
 from commissioning.fleet.ledger import Ledger, LedgerRow
 from commissioning.fleet.messages import Looked
 from commissioning.fleet.plan import Fleet, PlannedAxis
-from commissioning.fleet.view import iso, view
+from commissioning.fleet.view import view
 from commissioning.result.document import Tool
 from commissioning.result.fleet import (
     ENDED,
@@ -21,6 +21,7 @@ from commissioning.result.fleet import (
     JobState,
     Outcome,
 )
+from commissioning.result.words import iso
 
 __all__ = ["Board", "Standing"]
 

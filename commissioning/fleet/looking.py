@@ -12,11 +12,12 @@ from commissioning.fleet.crew import Crew
 from commissioning.fleet.messages import Looked, Order
 from commissioning.fleet.plan import Fleet, PlannedAxis
 from commissioning.fleet.schedule import Rules, Task, startable
-from commissioning.fleet.serials import NO_SERIAL, Pins, misplaced
+from commissioning.fleet.serials import Pins, misplaced
 from commissioning.journal import Journal
 from commissioning.result.endings import Error
 from commissioning.result.fleet import JobState
 from drivers.places import same_place
+from profiles.identity import NO_SERIAL
 
 __all__ = [
     "Seen",

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from profiles.errors import IdentityMismatch, Refused, UsageError
 from profiles.files import replace
+from profiles.identity import NO_SERIAL
 from profiles.plain import plain
 from profiles.toml_files import parse_tree, read_text
 
-__all__ = ["NO_SERIAL", "Pins", "misplaced"]
+__all__ = ["Pins", "misplaced"]
 
-NO_SERIAL = "", "0x00000000"  # of drives that tell none
 NONE = "none"  # said of such a drive in the fleet file
 _HEAD = (
     "# Which drive is on which axis of {name}: written by the first run, insisted on since.\n"

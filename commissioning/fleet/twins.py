@@ -8,12 +8,12 @@ from pathlib import Path
 
 from commissioning.fleet.plan import Fleet, PlannedAxis
 from commissioning.journal import Journal
-from commissioning.session.twin import measured_twin
+from commissioning.session.twin import endpoints_like, measured_twin
 from drivers.home import home
 from drivers.link_text import parse
 from drivers.virtual.axes import VirtualAxis, configured
 from drivers.virtual.memory import Memory
-from drivers.virtual.served import FIRST_NODE, BusOfDrives, ServedDrive, endpoints_like
+from drivers.virtual.served import FIRST_NODE, BusOfDrives, ServedDrive
 from profiles.axis import Axis
 from profiles.errors import TwoRelayError, UsageError
 from profiles.library import load_profile

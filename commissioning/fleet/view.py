@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 
 from commissioning.fleet.acts import outcome_now
 from commissioning.fleet.ledger import FleetRecord, Ledger, LedgerRow, Place
@@ -19,8 +18,9 @@ from commissioning.result.fleet import (
     FleetState,
     JobState,
 )
+from commissioning.result.words import iso
 
-__all__ = ["by_the_ledger", "iso", "not_begun", "view", "ways_on"]
+__all__ = ["by_the_ledger", "not_begun", "view", "ways_on"]
 
 _GONE = "it was started, and its process is gone"
 
@@ -112,10 +112,3 @@ def _axis(row: LedgerRow, place: Place, journal: Journal | None) -> FleetAxis:
         row.serial or None, why=why, confirmed=row.confirmed, began=iso(row.began),
         ended=iso(row.at) if state in ENDED else None, outcome=outcome,
     )  # fmt: skip
-
-
-def iso(instant: float | None) -> str | None:
-    """ISO 8601, with the zone of this computer."""
-    if instant is None:
-        return None
-    return datetime.fromtimestamp(instant).astimezone().isoformat(timespec="seconds")

@@ -6,10 +6,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from commissioning.result.history import IndexedRun, computer_of
+from profiles.identity import NO_SERIAL
 
-__all__ = ["NO_SERIAL", "SameAxis", "chosen", "groups", "in_order"]
-
-NO_SERIAL = "", "0x00000000"
+__all__ = ["SameAxis", "chosen", "groups", "in_order"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,11 +8,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from commissioning.ending import operator
-from commissioning.history.axes import NO_SERIAL, SameAxis, chosen, groups
+from commissioning.history.axes import SameAxis, chosen, groups
 from commissioning.history.catching_up import catch_up, said_by_run
 from commissioning.history.drift import GATE, drift
 from commissioning.journal import Journal
 from commissioning.result.history import (
+    CHARTED,
     DriveFitted,
     IndexedRun,
     Note,
@@ -21,15 +22,14 @@ from commissioning.result.history import (
     computer_of,
     name_now,
     names_before,
-    noted_name,
     own_name,
 )
 from profiles.axis import axis_name
 from profiles.errors import UnknownName, UsageError
+from profiles.identity import NO_SERIAL
 
-__all__ = ["CHARTED", "add_note", "all_axes", "names_now", "remove_note", "rename", "story_of"]
+__all__ = ["add_note", "all_axes", "names_now", "remove_note", "rename", "story_of"]
 
-CHARTED = "coulomb", "viscous", "inertia"
 _LONGEST_NOTE = 1000  # characters
 
 
@@ -108,12 +108,8 @@ def _story(journal: Journal, found: _Found, gate: float) -> Story:
 
 def _notes(journal: Journal, found: _Found) -> list[Note]:
     """Notes on this axis, and not on another of its name."""
-    return [
-        note
-        for note in journal.notes(found.names)
-        if noted_name(note, found.renamed) == found.name
-        and (found.axis.is_ours if note.of_host is None else note.of_host in found.axis.hosts)
-    ]
+    ours = [None] if found.axis.is_ours else []
+    return journal.notes_on(found.name, [*ours, *found.axis.hosts], found.renamed)
 
 
 def all_axes(
@@ -191,7 +187,7 @@ def _same_drive(journal: Journal, group: SameAxis, names: Sequence[str]) -> list
     serial = group.entries[-1].serial
     if serial in NO_SERIAL or group.entries[-1].link.startswith("virtual:"):
         return []  # virtual drives of the same options are the same
-    others = [one for one in journal.names_of_drives([serial]).get(serial, []) if one not in names]
+    others = [one for one in journal.names_of_drive(serial) if one not in names]
     way = "'tworelay adopt' of all its runs, exported anew,"
     if group.is_ours and others:
         way = f'\'tworelay history rename "{others[-1]}" "{names[0]}"\''

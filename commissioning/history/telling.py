@@ -11,7 +11,7 @@ from itertools import pairwise
 from commissioning.history.drift import BASELINE, FIRST, is_behind
 from commissioning.result.experiment import Conditions
 from commissioning.result.history import INDEXED, Drift, IndexedRun, Note, Story
-from commissioning.result.words import percent
+from commissioning.result.words import iso, percent
 from profiles.plain import harmless_cell
 
 __all__ = ["LABELS", "csv_text", "day", "drift_words", "events"]
@@ -110,7 +110,7 @@ def csv_text(story: Story) -> str:
     for number, one in enumerate((*story.entries, None)):
         for _, at, text in (event for event in happened if event[0] == number):
             kind = "note" if text.startswith("note") else "drive"
-            row = [kind, _iso(at), story.axis, *[""] * (len(head) - 4), text]
+            row = [kind, iso(at) or "", story.axis, *[""] * (len(head) - 4), text]
             writer.writerow([harmless_cell(cell) for cell in row])
         if one is not None:
             writer.writerow([harmless_cell(cell) for cell in _row(one)])
@@ -119,8 +119,8 @@ def csv_text(story: Story) -> str:
 
 def _row(one: IndexedRun) -> list[str]:
     row = [
-        "run", _iso(one.began), one.axis, one.run, one.host or "", one.serial, one.version or "",
-        one.method or "", one.verdict or "",
+        "run", iso(one.began) or "", one.axis, one.run, one.host or "", one.serial,
+        one.version or "", one.method or "", one.verdict or "",
     ]  # fmt: skip
     for name in INDEXED:
         found = one.quantities.get(name)
@@ -128,7 +128,3 @@ def _row(one: IndexedRun) -> list[str]:
         row += ["" if value is None else f"{value:.9g}" for value in values]
     seen = ("" if value is None else f"{value:.9g}" for value in astuple(one.conditions))
     return [*row, *seen, ""]
-
-
-def _iso(instant: float) -> str:
-    return datetime.fromtimestamp(instant).astimezone().isoformat(timespec="seconds")

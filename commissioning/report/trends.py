@@ -18,12 +18,11 @@ from matplotlib.figure import Figure
 
 from commissioning.report.figures import BLUE, GREY, ORANGE, STYLE
 from commissioning.report.quiet import quiet
-from commissioning.result.history import Drift, IndexedRun, Story
+from commissioning.result.history import CHARTED, Drift, IndexedRun, Story
 from commissioning.result.words import QUANTITY_LABELS
 
 __all__ = ["picture"]
 
-_SHOWN = "coulomb", "viscous", "inertia"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -32,7 +31,7 @@ def picture(story: Story, words: str, happened: Sequence[tuple[float, str]], kin
 
     `words` : beneath its name. `happened` : s since 1970, and what
     """
-    shown = [name for name in _SHOWN if any(name in one.quantities for one in story.entries)]
+    shown = [name for name in CHARTED if any(name in one.quantities for one in story.entries)]
     stream = io.BytesIO()
     with mpl.rc_context(STYLE), quiet():
         rows = max(len(shown), 1)

@@ -11,6 +11,7 @@ from commissioning.result.experiment import Conditions
 from commissioning.result.found import Quantity
 
 __all__ = [
+    "CHARTED",
     "HISTORY_SCHEMA",
     "INDEXED",
     "Compared",
@@ -33,6 +34,7 @@ __all__ = [
 ]
 
 HISTORY_SCHEMA: Final = "tworelay.history/1"
+CHARTED = "coulomb", "viscous", "inertia"
 INDEXED = ("coulomb", "offset", "viscous", "inertia", "dead_time", "low_speed")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import datetime
 from math import floor, log10
 
 from commissioning.result.changes import Change, Host
@@ -27,6 +28,7 @@ __all__ = [
     "helps",
     "host_law",
     "interval",
+    "iso",
     "measured",
     "nothing_proposed",
     "number",
@@ -102,6 +104,13 @@ def duration(value: float | None) -> str:
     if value is None:
         return "never"
     return f"{value:.2f} s" if value >= 1 else f"{1000 * value:.0f} ms"
+
+
+def iso(instant: float | None) -> str | None:
+    """ISO 8601, with the zone of this computer."""
+    if instant is None:
+        return None
+    return datetime.fromtimestamp(instant).astimezone().isoformat(timespec="seconds")
 
 
 def percent(change: float) -> str:

@@ -6,6 +6,7 @@ axis, position 1/E times, with E = 2π/(travel per revolution).
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot
@@ -24,17 +25,18 @@ from drivers.home import home
 from drivers.link_text import Link, parse
 from drivers.virtual.axes import VirtualAxis, configured
 from drivers.virtual.memory import Memory
-from drivers.virtual.served import FIRST_NODE, FIRST_UNIT, ServedDrive
+from drivers.virtual.served import FIRST_NODE, FIRST_UNIT, Endpoints, ServedDrive
 from profiles.axis import LONGEST_NAME, Axis
 from profiles.errors import Refused, UsageError
 from profiles.library import load_profile
 from profiles.schema import Profile
 
-__all__ = ["MeasuredTwin", "measured_twin", "numbered", "twin_of_run"]
+__all__ = ["MeasuredTwin", "endpoints_like", "measured_twin", "numbered", "twin_of_run"]
 
 Ask = Callable[[str, str], float | None]  # what, its unit → SI at the motor; None: nobody is there
 
 _TWIN = " (twin)"
+_ANY = ("127.0.0.1", 0)
 _PEAK = 3.0  # times rated, of a drive whose run does not tell it
 _WHAT = {
     "inertia": ("inertia of motor and load", "kg.m2"),
@@ -71,6 +73,24 @@ class MeasuredTwin:
         axis = replace(self.axis, seed=self.axis.seed + number)
         memory = state or home() / "virtual" / f"{slug(axis.name)}-{axis.serial:08x}.json"
         return ServedDrive(axis, Memory.at(memory), unit, node, self.profile)
+
+
+def endpoints_like(link: Link, profile: Profile | None = None) -> Endpoints:
+    """The same kind of wire on loopback, where this computer has it; of a virtual link Modbus TCP.
+
+    `profile` : decides where the link does not
+    """
+    has_terminals = os.name != "nt"
+    is_canopen = profile.bus == "canopen" if profile else link.scheme == "canopen"
+    if is_canopen:
+        if link.scheme == "canopen" and link.interface == "slcan" and has_terminals:
+            return Endpoints(slcan_pty=True)
+        return Endpoints(socketcand=_ANY)
+    if link.scheme == "modbus-rtu" and has_terminals:
+        return Endpoints(modbus_rtu_pty=True)
+    if link.scheme in ("modbus-rtu", "modbus-rtu-tcp"):
+        return Endpoints(modbus_rtu_tcp=_ANY)
+    return Endpoints(modbus_tcp=_ANY)
 
 
 def numbered(twins: Sequence[MeasuredTwin], key: Literal["unit", "node"]) -> list[int]:

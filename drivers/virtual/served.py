@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from drivers.link_text import Link
 from drivers.virtual.axes import VirtualAxis
 from drivers.virtual.device import Clock, ClockKind, Device
 from drivers.virtual.firmware import SECOND, Firmware
@@ -24,12 +22,10 @@ if TYPE_CHECKING:
     from drivers.virtual.canopen_node import CanopenNode
     from drivers.virtual.registers import RegisterMap
 
-__all__ = ["BusOfDrives", "Endpoints", "Place", "ServedDrive", "endpoints_like", "opened"]
+__all__ = ["BusOfDrives", "Endpoints", "Place", "ServedDrive", "opened"]
 
 FIRST_UNIT, FIRST_NODE = 1, 5
 BITRATE, BAUDRATE = 500_000, 115_200
-
-_ANY = ("127.0.0.1", 0)
 
 Place = tuple[str, int]  # host and port; 0 is any free one
 
@@ -60,24 +56,6 @@ class Endpoints:
     def is_canopen(self) -> bool:
         """Whether there is a CANopen wire."""
         return bool(self.socketcand or self.slcan_pty)
-
-
-def endpoints_like(link: Link, profile: Profile | None = None) -> Endpoints:
-    """The same kind of wire on loopback, where this computer has it; of a virtual link Modbus TCP.
-
-    `profile` : decides where the link does not
-    """
-    has_terminals = os.name != "nt"
-    is_canopen = profile.bus == "canopen" if profile else link.scheme == "canopen"
-    if is_canopen:
-        if link.scheme == "canopen" and link.interface == "slcan" and has_terminals:
-            return Endpoints(slcan_pty=True)
-        return Endpoints(socketcand=_ANY)
-    if link.scheme == "modbus-rtu" and has_terminals:
-        return Endpoints(modbus_rtu_pty=True)
-    if link.scheme in ("modbus-rtu", "modbus-rtu-tcp"):
-        return Endpoints(modbus_rtu_tcp=_ANY)
-    return Endpoints(modbus_tcp=_ANY)
 
 
 @dataclass(frozen=True, slots=True)

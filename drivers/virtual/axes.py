@@ -14,13 +14,19 @@ from pathlib import Path
 from typing import Literal
 
 from drivers.virtual.compliant_plant import CompliantParameters, CompliantPlant
-from drivers.virtual.friction import Dry, LuGre, Soft
+from drivers.virtual.electronics import Electronics, Imperfections
+from drivers.virtual.friction import Dry, Elements, Friction, LuGre, Soft
 from drivers.virtual.plant import Plant, PlantParameters
 from profiles.errors import UnknownName, UsageError
 
 __all__ = ["AXES", "VirtualAxis", "configured"]
 
 _TURN = 6.283185307179586  # rad
+
+
+def _later(default: float) -> float:
+    """A figure that drives of older versions did not have: with it they stay the same drives."""
+    return field(default=default, repr=False, metadata={"later": True})
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +42,18 @@ class VirtualAxis:
     stribeck : speed within which friction falls from breakaway to Coulomb, rad/s or m/s; 0: at once
     soft, soft_shift : width and shift of a friction that rises smoothly through zero speed, rad/s
         or m/s
+    stribeck_exponent : of the Stribeck curve, 2 by its paper
     lugre, lugre_damping : stiffness (N.m/rad or N/m) and damping of the bristles; 0: none
+    dahl : deflection z₀ within which Dahl's bristles reach the friction, rad or m; 0: none
+    maxwell : deflection within which the last of six elements slips, rad or m; 0: none
+    gms : rate at which elements that slip come to their share, N.m/s or N/s (needs maxwell)
     load_friction, cogging, pitch, resonance, ratio, damping, backlash, load_coulomb, output_filter
         : see CompliantParameters
+    drag, drift, position_slope, position_wave, position_pitch, spring, gravity, gravity_angle,
+    cogging_2, pitch_2, angle_2, torque_gain, torque_ripple, ripple_waves : see CompliantParameters
+    torque_clip, torque_noise, tick, noise, eccentricity : see Imperfections
+    torque_seen : 1: the drive measures the torque on the shaft; 0: it tells what it demands; -1: it
+        measures no torque and always tells 0
     jitter : share of the cycles that are late, by an exponential time of mean one cycle
     loss : share of the cycles without a sample
     stamp : rms error of the time stamps, s
@@ -77,6 +92,7 @@ class VirtualAxis:
     stribeck: float = 0.0
     soft: float = 0.0
     soft_shift: float = 0.0
+    stribeck_exponent: float = _later(2.0)
     lugre: float = 0.0
     lugre_damping: float = 0.0
     load_friction: float = 0.0
@@ -91,6 +107,29 @@ class VirtualAxis:
     jitter: float = 0.0
     loss: float = 0.0
     stamp: float = 0.0
+    dahl: float = _later(0.0)
+    maxwell: float = _later(0.0)
+    gms: float = _later(0.0)
+    drag: float = _later(0.0)
+    drift: float = _later(0.0)
+    position_slope: float = _later(0.0)
+    position_wave: float = _later(0.0)
+    position_pitch: float = _later(_TURN)
+    spring: float = _later(0.0)
+    gravity: float = _later(0.0)
+    gravity_angle: float = _later(0.0)
+    cogging_2: float = _later(0.0)
+    pitch_2: float = _later(_TURN / 36)
+    angle_2: float = _later(0.0)
+    torque_gain: float = _later(1.0)
+    torque_ripple: float = _later(0.0)
+    ripple_waves: float = _later(6.0)
+    torque_clip: float = _later(0.0)
+    torque_noise: float = _later(0.0)
+    torque_seen: float = _later(0.0)
+    tick: float = _later(0.0)
+    noise: float = _later(0.0)
+    eccentricity: float = _later(0.0)
     temperature: float = field(default=25.0, repr=False)  # no other drive for it
     memory: str = field(default="", repr=False)
 
@@ -98,8 +137,11 @@ class VirtualAxis:
     def is_rigid(self) -> bool:
         """Whether one rigid mass with Coulomb friction is all there is: solved in closed form."""
         return not (
-            self.stribeck or self.soft or self.lugre or self.load_friction or self.cogging
-            or self.resonance or self.backlash or self.load_coulomb or self.output_filter
+            self.stribeck or self.soft or self.lugre or self.dahl or self.maxwell
+            or self.load_friction or self.cogging or self.cogging_2 or self.resonance
+            or self.backlash or self.load_coulomb or self.output_filter or self.drag or self.drift
+            or self.position_slope or self.position_wave or self.spring or self.gravity
+            or self.torque_gain != 1 or self.torque_ripple
         )  # fmt: skip
 
     @property
@@ -107,8 +149,20 @@ class VirtualAxis:
         """Torque that the axis withstands at rest, N.m or N."""
         return self.coulomb if self.breakaway is None else self.breakaway
 
-    def build(self) -> Plant | CompliantPlant:
+    def build(self) -> Plant | CompliantPlant | Electronics:
         """The mechanics of this axis, at rest at 0; raises ValueError."""
+        mechanics, electronics = self._mechanics(), self.imperfections
+        return mechanics if electronics.is_none else Electronics(mechanics, electronics)
+
+    @property
+    def imperfections(self) -> Imperfections:
+        """Of the drive's electronics."""
+        return Imperfections(
+            self.torque_clip, self.torque_noise, self.tick, self.noise, self.eccentricity,
+            shows_shaft=self.torque_seen > 0, seed=self.seed,
+        )  # fmt: skip
+
+    def _mechanics(self) -> Plant | CompliantPlant:
         if self.is_rigid:
             return Plant(
                 PlantParameters(
@@ -120,18 +174,29 @@ class VirtualAxis:
             CompliantParameters(
                 self.inertia, self.viscous, self._friction(), self.load, self.asymmetry,
                 self.load_friction, self.lag, self.cogging, self.pitch, self.resonance, self.ratio,
-                self.damping, self.backlash, self.load_coulomb, self.output_filter,
+                self.damping, self.backlash, self.load_coulomb, self.output_filter, self.cogging_2,
+                self.pitch_2, self.angle_2, self.drag, self.drift, self.position_slope,
+                self.position_wave, self.position_pitch, self.spring, self.gravity,
+                self.gravity_angle, self.torque_gain, self.torque_ripple, self.ripple_waves,
             )
         )  # fmt: skip
 
-    def _friction(self) -> Dry | Soft | LuGre:
+    def _friction(self) -> Friction:
+        exponent = self.stribeck_exponent
         if self.lugre:
             return LuGre(
-                self.coulomb, self.held_by, self.stribeck or 1.0, self.lugre, self.lugre_damping
+                self.coulomb, self.held_by, self.stribeck or 1.0, self.lugre, self.lugre_damping,
+                exponent,
+            )  # fmt: skip
+        if self.dahl:
+            return LuGre(self.coulomb, self.coulomb, 0.0, self.coulomb / self.dahl, 0.0)
+        if self.maxwell:
+            return Elements(
+                self.coulomb, self.held_by, self.maxwell, self.gms, self.stribeck, exponent
             )
         if self.soft:
             return Soft(self.coulomb, self.soft, self.soft_shift)
-        return Dry(self.coulomb, self.held_by, self.stribeck)
+        return Dry(self.coulomb, self.held_by, self.stribeck, exponent)
 
     @property
     def resolution(self) -> float:
@@ -141,7 +206,12 @@ class VirtualAxis:
     @property
     def serial(self) -> int:
         """Serial number: an axis with the same options and the same memory is the same drive."""
-        return zlib.crc32((repr(self) + self.memory).encode())
+        told = [
+            f"{one.name}={value!r}"
+            for one in fields(self)
+            if one.metadata and (value := getattr(self, one.name)) != one.default
+        ]
+        return zlib.crc32((repr(self) + "".join(told) + self.memory).encode())
 
 
 AXES: dict[str, VirtualAxis] = {
@@ -246,7 +316,14 @@ _RANGES = {
     "load_friction": (0, 0.9), "pitch": (1e-6, 1e4), "resonance": (0, 2000.0), "ratio": (1e-3, 1e3),
     "damping": (0, 1.0), "backlash": (0, 1e3), "load_coulomb": (0, 1e6), "output_filter": (0, 1e4),
     "jitter": (0, 1.0), "loss": (0, 0.3), "stamp": (0, 0.1), "cogging": (-1e6, 1e6),
-    "temperature": (-100.0, 300.0),
+    "temperature": (-100.0, 300.0), "stribeck_exponent": (0.1, 5.0), "dahl": (0, 1e3),
+    "maxwell": (0, 1e3), "gms": (0, 1e9), "drag": (0, 1e9), "drift": (-0.1, 0.1),
+    "position_slope": (-1e3, 1e3), "position_wave": (-0.99, 0.99), "position_pitch": (1e-6, 1e4),
+    "spring": (-1e9, 1e9), "gravity": (-1e6, 1e6), "gravity_angle": (-10, 10),
+    "cogging_2": (-1e6, 1e6), "pitch_2": (1e-6, 1e4), "angle_2": (-10, 10),
+    "torque_gain": (0.01, 100.0), "torque_ripple": (-0.9, 0.9), "ripple_waves": (0, 1e6),
+    "torque_clip": (0, 1e6), "torque_noise": (0, 1e6), "torque_seen": (-1, 1), "tick": (0, 1.0),
+    "noise": (0, 10.0), "eccentricity": (-1.0, 1.0), "load": (-1e6, 1e6),
     "inertia": (1e-9, 1e9), "viscous": (0, 1e9), "coulomb": (0, 1e9), "asymmetry": (-0.99, 0.99),
 }  # fmt: skip
 
@@ -293,10 +370,7 @@ def configured(name: str, options: dict[str, str], memory: str | Path | None = N
             f"virtual axis '{name}': breakaway is {axis.held_by:g}: must be at least coulomb, "
             f"{axis.coulomb:g}"
         )
-    if sum(bool(kind) for kind in (axis.soft, axis.lugre, axis.stribeck and not axis.lugre)) > 1:
-        raise UsageError(f"virtual axis '{name}': stribeck, soft and lugre exclude each other")
-    if axis.lugre and not axis.coulomb > 0:
-        raise UsageError(f"virtual axis '{name}': lugre bristles need coulomb > 0")
+    _check_friction(axis)
     if axis.backlash and not axis.resonance:
         raise UsageError(
             f"virtual axis '{name}': backlash lies between motor and load: give resonance too"
@@ -307,6 +381,20 @@ def configured(name: str, options: dict[str, str], memory: str | Path | None = N
             f"{30 * axis.rated:g} (1 to 30 times rated)"
         )
     return axis
+
+
+def _check_friction(axis: VirtualAxis) -> None:
+    """Kinds that exclude each other; raises UsageError."""
+    named = f"virtual axis '{axis.name}': "
+    kinds = [kind for kind in ("soft", "lugre", "dahl", "maxwell") if getattr(axis, kind)]
+    if len(kinds) > 1:
+        raise UsageError(f"{named}{' and '.join(kinds)} exclude each other")
+    if axis.stribeck and (axis.soft or axis.dahl):
+        raise UsageError(f"{named}stribeck and {kinds[0]} exclude each other")
+    if (axis.lugre or axis.dahl or axis.maxwell) and not axis.coulomb > 0:
+        raise UsageError(f"{named}{kinds[0]} friction needs coulomb > 0")
+    if axis.gms and not axis.maxwell:
+        raise UsageError(f"{named}gms needs maxwell, the deflection of its elements")
 
 
 def _number(key: str, text: str, kind: type[int] | type[float]) -> float | int:

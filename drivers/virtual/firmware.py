@@ -55,7 +55,7 @@ class Firmware:
     now : int
         Simulated time since power-on, ns.
     state : State
-    plant : Plant or CompliantPlant
+    plant : Plant, CompliantPlant or Electronics
     on_emergency : callable(error_code)
         Called when an error comes up (and with 0 when it is reset).
     on_silence : callable()
@@ -172,7 +172,7 @@ class Firmware:
     @property
     def torque(self) -> int:
         """Torque actual value, per mille of rated."""
-        if not self._energised:
+        if not self._energised or self.axis.torque_seen < 0:
             return 0
         return max(-32768, min(32767, round(self.plant.torque / self._unit)))
 

@@ -1,14 +1,12 @@
-"""Friction of the virtual axes, as its papers have it.
-
-A dry law gives a level against the motion, F(v) for v > 0, and a level that holds the axis at rest:
+"""Friction of the virtual axes, as its papers have it; `mechanics` has the equations.
 
     Coulomb    F = Fc                                                     (held by Fs)
-    Stribeck   F = Fc + (Fs − Fc)·e^(−(v/vs)²)    Armstrong-Hélouvry, Dupont, Canudas de Wit 1994
+    Stribeck   F = Fc + (Fs − Fc)·e^(−(|v|/vs)^e)   Armstrong-Hélouvry, Dupont, Canudas de Wit 1994
     soft       F = Fc·tanh(v/w): no level holds it; the sigmoid of Gaz et al. 2019 has w = 2/φ2
-
-LuGre (Canudas de Wit, Olsson, Åström, Lischinsky 1995) has a state, the bristle deflection z:
-
-    dz/dt = v − σ0·|v|/g(v)·z          F = σ0·z + σ1·dz/dt          g = Fc + (Fs − Fc)·e^(−(v/vs)²)
+    LuGre      bristles that bend               Canudas de Wit, Olsson, Åström, Lischinsky 1995
+    Dahl       the same with g = Fc and no damping                                     Dahl 1968
+    Maxwell    elements that stick as springs and slip one after the other             Iwan 1966
+    GMS        the same with a level that falls with the speed            Al-Bender et al. 2005
 
 Viscous friction is the plant's own.
 """
@@ -16,9 +14,10 @@ Viscous friction is the plant's own.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp, inf, tanh
 
-__all__ = ["Dry", "LuGre", "Soft"]
+from drivers.virtual.mechanics import ELEMENTS
+
+__all__ = ["Dry", "Elements", "Friction", "LuGre", "Soft"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,29 +28,13 @@ class Dry:
     ----------
     coulomb, breakaway : Fc and Fs, N.m or N
     stribeck : vs, rad/s or m/s; 0: Coulomb in motion, whatever the breakaway level
+    exponent : e of the Stribeck curve
     """
 
     coulomb: float
     breakaway: float
     stribeck: float = 0.0
-
-    def level(self, speed: float) -> float:
-        """Friction in motion at |v| = `speed`, N.m or N."""
-        if not self.stribeck:
-            return self.coulomb
-        x = speed / self.stribeck
-        return (
-            self.coulomb + (self.breakaway - self.coulomb) * exp(-x * x) if x < 6 else self.coulomb
-        )
-
-    @property
-    def flat_from(self) -> float:
-        """Speed above which the level no longer changes, rad/s or m/s."""
-        return 3.5 * self.stribeck
-
-    def time_scale(self, acceleration: float) -> float:
-        """Time in which the level may change under an acceleration, s."""
-        return self.stribeck / acceleration if self.stribeck and acceleration > 0 else inf
+    exponent: float = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,31 +52,18 @@ class Soft:
     width: float
     shift: float = 0.0
 
-    def torque(self, velocity: float) -> float:
-        """Friction at a velocity, with its sign, N.m or N."""
-        bias = tanh(self.shift / self.width) if self.shift else 0.0
-        return self.coulomb * (tanh((velocity + self.shift) / self.width) - bias)
-
-    @property
-    def flat_from(self) -> float:
-        """Speed above which the friction no longer changes, rad/s or m/s."""
-        return 8 * self.width + abs(self.shift)
-
-    def time_scale(self, acceleration: float) -> float:
-        """Time in which the friction may change under an acceleration, s."""
-        return self.width / acceleration if acceleration > 0 else inf
-
 
 @dataclass(frozen=True, slots=True)
 class LuGre:
-    """Bristle friction.
+    """Bristle friction; Dahl's with breakaway = coulomb and no damping.
 
     Parameters
     ----------
     coulomb, breakaway : Fc and Fs, N.m or N
-    stribeck : vs, rad/s or m/s, > 0
+    stribeck : vs, rad/s or m/s; 0: Fc at any speed
     stiffness : σ0, N.m/rad or N/m
     damping : σ1, N.m.s/rad or N.s/m
+    exponent : e of the Stribeck curve
     """
 
     coulomb: float
@@ -101,18 +71,41 @@ class LuGre:
     stribeck: float
     stiffness: float
     damping: float
+    exponent: float = 2.0
 
-    def level(self, speed: float) -> float:
-        """g(v): friction at a constant speed, N.m or N."""
-        x = speed / self.stribeck
-        return (
-            self.coulomb + (self.breakaway - self.coulomb) * exp(-x * x) if x < 6 else self.coulomb
-        )
 
-    def rate(self, velocity: float, deflection: float) -> float:
-        """dz/dt, rad/s or m/s."""
-        return velocity - self.stiffness * abs(velocity) / self.level(abs(velocity)) * deflection
+@dataclass(frozen=True, slots=True)
+class Elements:
+    """Equal elements that stick as springs and slip at their share of the level.
 
-    def torque(self, deflection: float, rate: float) -> float:
-        """Friction with its sign, N.m or N."""
-        return self.stiffness * deflection + self.damping * rate
+    Element i of n slips after a deflection of reach·(i/n)^1.5 from rest.
+
+    Parameters
+    ----------
+    coulomb, breakaway : Fc and Fs, N.m or N
+    reach : of the last one, rad or m
+    attraction : rate C of GMS friction, N.m/s or N/s: how soon an element that slips comes to its
+        share; 0: at once, Maxwell's
+    stribeck : vs, rad/s or m/s; 0: Fc at any speed
+    exponent : e of the Stribeck curve
+    """
+
+    coulomb: float
+    breakaway: float
+    reach: float
+    attraction: float = 0.0
+    stribeck: float = 0.0
+    exponent: float = 2.0
+
+    @property
+    def reaches(self) -> tuple[float, ...]:
+        """Deflection at which each slips, rad or m."""
+        return tuple(self.reach * ((i + 1) / ELEMENTS) ** 1.5 for i in range(ELEMENTS))
+
+    @property
+    def stiffness(self) -> float:
+        """Of all of them together, N.m/rad or N/m."""
+        return sum(self.coulomb / ELEMENTS / reach for reach in self.reaches)
+
+
+Friction = Dry | Soft | LuGre | Elements

@@ -16,7 +16,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))
 
-from benchmarks.accuracy import (  # noqa: E402
+from benchmarks.methods import (  # noqa: E402
     CYCLES,
     GOALS,
     OTHERS,

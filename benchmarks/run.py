@@ -16,19 +16,21 @@ from unittest.mock import patch
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))
 
-from benchmarks.accuracy import accuracy  # noqa: E402
 from benchmarks.critical_point import critical_point  # noqa: E402
 from benchmarks.drift import drift  # noqa: E402
 from benchmarks.fleet import fleet  # noqa: E402
 from benchmarks.history import history  # noqa: E402
 from benchmarks.links import WIRES, links, served  # noqa: E402
+from benchmarks.methods import methods  # noqa: E402
+from benchmarks.plants import plants  # noqa: E402
 from benchmarks.stop_times import stop_times  # noqa: E402
 from benchmarks.units import units  # noqa: E402
 from commissioning.desk import Desk, Options  # noqa: E402
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
 from commissioning.result.document import RunResult  # noqa: E402
-from commissioning.rig import methods, mover  # noqa: E402
+from commissioning.rig import methods as rig_methods  # noqa: E402
+from commissioning.rig import mover  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
 from drivers.link import axis_of  # noqa: E402
 
@@ -159,7 +161,7 @@ def speed() -> list[str]:
 
 def _analysis(link: str) -> float:
     """Time of the fit alone, s."""
-    original = vars(methods)["estimate"]
+    original = vars(rig_methods)["estimate"]
     spent: list[float] = []
 
     def counted(*arguments: Any, **keywords: Any) -> Any:
@@ -168,7 +170,7 @@ def _analysis(link: str) -> float:
         spent.append(time.perf_counter() - begin)
         return found
 
-    with patch.object(methods, "estimate", counted):
+    with patch.object(rig_methods, "estimate", counted):
         for _ in range(5):
             measure(link, 0.001)
     return min(spent)
@@ -180,8 +182,7 @@ def main() -> None:
         tables: dict[str, Callable[[], list[str]]] = {
             "wires": wires, "speed": speed, "links": links, "critical_point": critical_point, "units": units,
             "stop_times": stop_times, "fleet": fleet, "history": history,
-            "drift": drift,
-            "accuracy": lambda: accuracy(int(os.environ.get("AXES", "2000"))),
+            "drift": drift, "plants": plants, "methods": methods,
         }  # fmt: skip
         for name in sys.argv[1:] or tables:
             lines = tables[name]()

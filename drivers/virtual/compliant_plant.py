@@ -185,13 +185,14 @@ def _numbers(p: CompliantParameters) -> list[float]:
         n[m.REACHES : m.REACHES + m.ELEMENTS] = law.reaches
         if law.attraction:
             longest = min(longest, 0.25 * law.coulomb / law.attraction)
+    fastest = max(fastest, sqrt(abs(p.spring) / n[m.J1]))
+    n[m.SLIDING] = min(longest, 1 / (_STEPS_A_RADIAN * fastest) if fastest else inf)
     fastest = max(fastest, sqrt((stiffness + abs(p.spring)) / n[m.J1]))
     longest = min(longest, 1 / (_STEPS_A_RADIAN * fastest) if fastest else inf)
-    if p.lag:
-        longest = min(longest, p.lag / 4)
-    if p.output_filter:
-        longest = min(longest, 0.25 / p.output_filter)
     n[m.LONGEST] = longest
+    if p.output_filter:
+        for place in (m.LONGEST, m.SLIDING):
+            n[place] = min(n[place], 0.25 / p.output_filter)
     for place, value in (
         (m.VISCOUS, p.viscous), (m.DRAG, p.drag), (m.ASYMMETRY, p.asymmetry), (m.DRIFT, p.drift),
         (m.SLOPE, p.slope), (m.WAVE, p.wave), (m.WAVE_LENGTH, p.wave_length),

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import random
 from dataclasses import dataclass
-from math import inf, pi, sin
+from math import pi, sin
 
 from drivers.virtual.compliant_plant import CompliantPlant
 from drivers.virtual.plant import Plant
 
 __all__ = ["Electronics", "Imperfections"]
 
-_NOISE_HELD = 250e-6  # s
-_TINY = 1e-12  # s
+_NOISE_HELD = 250_000  # ns
+_NEVER = 2**62  # ns
+_SECOND = 1_000_000_000  # ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +62,9 @@ class Electronics:
         self._i = imperfections
         self._random = random.Random(imperfections.seed)  # noqa: S311
         self._demand = self._noise = 0.0  # N.m or N
-        self._to_tick = self._random.uniform(0.0, imperfections.tick) if imperfections.tick else inf
-        self._to_noise = 0.0 if imperfections.torque_noise else inf
+        self._tick = round(imperfections.tick * _SECOND) or _NEVER
+        self._to_tick = self._random.randrange(self._tick) if imperfections.tick else _NEVER
+        self._to_noise = 0 if imperfections.torque_noise else _NEVER
         self.position = 0.0
         self._latch()
 
@@ -90,18 +92,18 @@ class Electronics:
 
     def advance(self, duration: float, command: float) -> None:
         """Let `duration` s pass under the constant torque command `command` (N.m or N)."""
-        i, left = self._i, duration
+        i, left = self._i, round(duration * _SECOND)
         if not i.tick:
             self._demand = command
-        while left > _TINY:
-            if self._to_tick <= _TINY:
-                self._demand, self._to_tick = command, i.tick
+        while left > 0:
+            if self._to_tick <= 0:
+                self._demand, self._to_tick = command, self._tick
                 self._latch()
-            if self._to_noise <= _TINY:
+            if self._to_noise <= 0:
                 self._noise, self._to_noise = self._random.gauss(0.0, i.torque_noise), _NOISE_HELD
             step = min(left, self._to_tick, self._to_noise)
             torque = min(max(self._demand, -i.clip), i.clip) if i.clip else self._demand
-            self.plant.advance(step, torque + self._noise)
+            self.plant.advance(step / _SECOND, torque + self._noise)
             left -= step
             self._to_tick -= step
             self._to_noise -= step

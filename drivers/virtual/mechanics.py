@@ -43,9 +43,9 @@ STATES = SLIPS + ELEMENTS
     J1, J2, VISCOUS, DRAG, KIND, COULOMB, BREAKAWAY, STRIBECK, EXPONENT, ASYMMETRY, DRIFT, SLOPE,
     WAVE, WAVE_LENGTH, LOAD_FRICTION, WIDTH, SHIFT, STIFFNESS, DAMPING, ATTRACTION, LOAD, SPRING,
     GRAVITY, GRAVITY_ANGLE, COGGING, PITCH, COGGING_2, PITCH_2, ANGLE_2, JOINT_K, JOINT_C, PLAY,
-    LOAD_COULOMB, LAG, GAIN, RIPPLE, RIPPLE_WAVES, CORNER, LONGEST,
-) = range(39)  # fmt: skip
-SHARES = 39  # of the level, of each element
+    LOAD_COULOMB, LAG, GAIN, RIPPLE, RIPPLE_WAVES, CORNER, LONGEST, SLIDING,
+) = range(40)  # fmt: skip
+SHARES = 40  # of the level, of each element
 REACHES = SHARES + ELEMENTS  # deflection at which each slips, rad or m
 PARAMETERS = REACHES + ELEMENTS
 
@@ -54,6 +54,9 @@ _HALVINGS = 12
 _STILL = 1e-12  # of a step: a reversal is found to this share
 _AFTER = 1e-3  # of the lag, after the instant of a breakaway: more than a step is wrong by
 _NEVER = 1e300
+_FOLLOWED = 0.2  # a step of fourth order is wrong by (h/lag)^5
+_STIFF = 20.0  # bristles that follow the speed so many times within a step …
+_BENT, _BENT_WITH_THE_SPEED = 1e-9, 2e-3  # … and are bent as far as they go, as a share of it
 _FASTEST = 0.25  # of the time in which a friction law may change: the longest step
 
 Numbers = Sequence[float]
@@ -150,10 +153,9 @@ def _rates(
     motor: float,
     seen: float,
     time: float,
-    command: float,
     share: float,
-) -> tuple[float, float, float, float, float, float, float]:
-    """Time derivatives of x1, v1, x2, v2, z, motor, seen in a step that begins at `s`.
+) -> tuple[float, float, float, float, float, float]:
+    """Time derivatives of x1, v1, x2, v2, z, seen in a step that begins at `s`.
 
     z of GMS friction: torque of the elements that slip, which have `share` of the level.
     """  # fmt: skip
@@ -172,8 +174,11 @@ def _rates(
             friction = p[COULOMB] * (tanh((v1 + p[SHIFT]) / p[WIDTH]) - bias)
         elif kind == BRISTLES:
             level = _level(p, speed, 1.0 if v1 > 0.0 else -1.0, x1, torque, time)
-            z_rate = v1 - p[STIFFNESS] * speed / level * z
-            friction = p[STIFFNESS] * z + p[DAMPING] * z_rate
+            if way != 0.0:
+                friction = way * level
+            else:
+                z_rate = v1 - p[STIFFNESS] * speed / level * z
+                friction = p[STIFFNESS] * z + p[DAMPING] * z_rate
         else:
             level = _level(p, speed, way, x1, torque, time)
             friction = _elements(p, s, x1 - s[X1], level)
@@ -190,47 +195,57 @@ def _rates(
     a2 = 0.0
     if two and s[WAY_LOAD] != 0.0:
         a2 = (joint - outer_torque(p, x2) - s[WAY_LOAD] * p[LOAD_COULOMB]) / p[J2]
-    motor_rate = (command - motor) / p[LAG] if p[LAG] != 0.0 else 0.0
     seen_rate = p[CORNER] * (x1 - seen) if p[CORNER] != 0.0 else 0.0
-    return v1, a1, v2, a2, z_rate, motor_rate, seen_rate
+    return v1, a1, v2, a2, z_rate, seen_rate
 
 
 def _step(
     p: Numbers, s: Numbers, h: float, command: float, share: float
 ) -> tuple[float, float, float, float, float, float, float]:
-    """x1, v1, x2, v2, z, motor, seen after `h` s."""
-    x1, v1, x2, v2, z, m, y, t = s[X1], s[V1], s[X2], s[V2], s[Z], s[MOTOR], s[SEEN], s[TIME]
+    """x1, v1, x2, v2, z, motor, seen after `h` s; the torque loop in closed form."""
+    x1, v1, x2, v2, z, y, t = s[X1], s[V1], s[X2], s[V2], s[Z], s[SEEN], s[TIME]
     g = h / 2
-    a1, a2, a3, a4, a5, a6, a7 = _rates(p, s, x1, v1, x2, v2, z, m, y, t, command, share)
-    b1, b2, b3, b4, b5, b6, b7 = _rates(
-        p, s, x1 + g * a1, v1 + g * a2, x2 + g * a3, v2 + g * a4, z + g * a5, m + g * a6,
-        y + g * a7, t + g, command, share,
+    first = middle = last = s[MOTOR]
+    if p[LAG] != 0.0 and first != command:
+        fade = exp(-g / p[LAG])
+        middle = command + (first - command) * fade
+        last = command + (middle - command) * fade
+    a1, a2, a3, a4, a5, a6 = _rates(p, s, x1, v1, x2, v2, z, first, y, t, share)
+    b1, b2, b3, b4, b5, b6 = _rates(
+        p, s, x1 + g * a1, v1 + g * a2, x2 + g * a3, v2 + g * a4, z + g * a5, middle, y + g * a6,
+        t + g, share,
     )  # fmt: skip
-    c1, c2, c3, c4, c5, c6, c7 = _rates(
-        p, s, x1 + g * b1, v1 + g * b2, x2 + g * b3, v2 + g * b4, z + g * b5, m + g * b6,
-        y + g * b7, t + g, command, share,
+    c1, c2, c3, c4, c5, c6 = _rates(
+        p, s, x1 + g * b1, v1 + g * b2, x2 + g * b3, v2 + g * b4, z + g * b5, middle, y + g * b6,
+        t + g, share,
     )  # fmt: skip
-    d1, d2, d3, d4, d5, d6, d7 = _rates(
-        p, s, x1 + h * c1, v1 + h * c2, x2 + h * c3, v2 + h * c4, z + h * c5, m + h * c6,
-        y + h * c7, t + h, command, share,
+    d1, d2, d3, d4, d5, d6 = _rates(
+        p, s, x1 + h * c1, v1 + h * c2, x2 + h * c3, v2 + h * c4, z + h * c5, last, y + h * c6,
+        t + h, share,
     )  # fmt: skip
     w = h / 6
     return (
         x1 + w * (a1 + 2 * b1 + 2 * c1 + d1), v1 + w * (a2 + 2 * b2 + 2 * c2 + d2),
         x2 + w * (a3 + 2 * b3 + 2 * c3 + d3), v2 + w * (a4 + 2 * b4 + 2 * c4 + d4),
-        z + w * (a5 + 2 * b5 + 2 * c5 + d5), m + w * (a6 + 2 * b6 + 2 * c6 + d6),
-        y + w * (a7 + 2 * b7 + 2 * c7 + d7),
+        z + w * (a5 + 2 * b5 + 2 * c5 + d5), last, y + w * (a6 + 2 * b6 + 2 * c6 + d6),
     )  # fmt: skip
 
 
-def _longest(p: Numbers, s: Numbers, command: float) -> float:
+def _longest(p: Numbers, s: MutableSequence[float], command: float) -> float:
     """Step that the friction law allows here, s."""
-    step, kind, speed = p[LONGEST], p[KIND], abs(s[V1])
+    step, follows, kind, speed = p[LONGEST], _NEVER, p[KIND], abs(s[V1])
+    if p[LAG] != 0.0:  # a transient is followed the less closely the smaller it has become
+        apart = abs(command - s[MOTOR])
+        if apart > 1e-12 * abs(command):
+            share = max(abs(command), apart) / apart
+            follows = p[LAG] / 4 * share**_FOLLOWED
     if kind == DRY and s[WAY] == 0.0 and p[LAG] != 0.0:
         step = min(step, _until_breakaway(p, s, command))
     if kind == BRISTLES:
-        rate = p[STIFFNESS] * speed / p[COULOMB]
-        return min(step, 0.5 / rate) if rate > 0.0 else step
+        step = _bristles_step(p, s, command)
+        if s[WAY] == 0.0:
+            return min(step, follows)
+    step = min(step, follows)
     if kind == SOFT:
         scale, flat = p[WIDTH], 8 * p[WIDTH] + abs(p[SHIFT])
     elif p[STRIBECK] != 0.0:
@@ -245,6 +260,40 @@ def _longest(p: Numbers, s: Numbers, command: float) -> float:
     if above > 0.0:  # up to where the law bends
         fine = max(fine, above / acceleration)
     return min(step, fine)
+
+
+def _bristles_step(p: Numbers, s: MutableSequence[float], command: float) -> float:
+    """Bristles that are bent as far as they go slide like dry friction, until the axis turns.
+
+    So where they would follow the speed within a small part of a step; WAY says it.
+    """
+    speed = abs(s[V1])
+    rate = p[STIFFNESS] * speed / p[COULOMB]
+    if rate * p[SLIDING] > _STIFF:
+        if s[WAY] == 0.0:
+            way = 1.0 if s[V1] > 0.0 else -1.0
+            torque = torque_on_shaft(p, s[MOTOR], s[X1])
+            level = _level(p, speed, way, s[X1], torque, s[TIME])
+            near = _BENT if p[STRIBECK] == 0.0 else _BENT_WITH_THE_SPEED
+            if abs(p[STIFFNESS] * s[Z] * way / level - 1) < near:
+                s[WAY] = way
+        if s[WAY] != 0.0:
+            acceleration = abs(command - p[LOAD]) / p[J1]
+            above = speed - _STIFF * p[COULOMB] / (p[STIFFNESS] * p[SLIDING])
+            if acceleration == 0.0:
+                return p[SLIDING]
+            return min(p[SLIDING], max(above / acceleration, 0.02 * p[SLIDING]))
+    else:
+        _release(p, s)
+    return min(p[LONGEST], 0.5 / rate) if rate > 0.0 else p[LONGEST]
+
+
+def _release(p: Numbers, s: MutableSequence[float]) -> None:
+    """Bristles that slid bend again: by what they were bent."""
+    if s[WAY] != 0.0:
+        torque = torque_on_shaft(p, s[MOTOR], s[X1])
+        level = _level(p, abs(s[V1]), s[WAY], s[X1], torque, s[TIME])
+        s[Z], s[WAY] = s[WAY] * level / p[STIFFNESS], 0.0
 
 
 def _until_breakaway(p: Numbers, s: Numbers, command: float) -> float:
@@ -324,64 +373,80 @@ def _moved(
 
 def _turned(p: Numbers, s: Numbers, v1: float, v2: float) -> int:
     """Which side has turned on the way to these speeds: 1 the motor, 2 the load, 0 none."""
-    if p[KIND] != SOFT and p[KIND] != BRISTLES and s[WAY] != 0.0 and v1 * s[WAY] < 0.0:
+    if s[WAY] != 0.0 and v1 * s[WAY] < 0.0:
         return 1
     if s[WAY_LOAD] != 0.0 and p[LOAD_COULOMB] != 0.0 and v2 * s[WAY_LOAD] < 0.0:
         return 2
     return 0
 
 
+def _reversal(
+    p: Numbers, s: Numbers, step: float, command: float, share: float, side: int, after: float
+) -> float:
+    """When a side turns whose speed is `after` at the end of the step, s."""
+    low, high, at_low, at_high = 0.0, step, s[V1] if side == 1 else s[V2], after
+    last, time = 0, step
+    for _ in range(_SECANTS):  # Illinois: a secant that keeps its bracket
+        time = high - at_high * (high - low) / (at_high - at_low)
+        _, v1, _, v2, _, _, _ = _step(p, s, time, command, share)
+        speed = v1 if side == 1 else v2
+        if speed * at_low > 0.0:
+            low, at_low = time, speed
+            at_high = at_high / 2 if last < 0 else at_high
+            last = -1
+        else:
+            high, at_high = time, speed
+            at_low = at_low / 2 if last > 0 else at_low
+            last = 1
+        if high - low < _STILL * step or speed == 0.0:
+            break
+    return time
+
+
+def _barely(
+    p: Numbers, s: MutableSequence[float], step: float, command: float, share: float, side: int
+) -> float:
+    """A side that broke away and is turned back within the step: as far as it goes, or not at all.
+
+    Return the time, s.
+    """
+    for _ in range(_HALVINGS):
+        step *= 0.5
+        _, v1, _, v2, _, _, _ = _step(p, s, step, command, share)
+        if _turned(p, s, v1, v2) == 0:
+            return step
+    if side == 2:
+        s[WAY_LOAD] = 0.0
+    else:  # nothing holds elements: they go the other way
+        s[WAY] = -s[WAY] if p[KIND] >= MAXWELL else 0.0
+    return step
+
+
 def _advance_once(p: Numbers, s: MutableSequence[float], step: float, command: float) -> float:
     """Take one step, or the part of it up to a reversal; return its time, s."""
     _unstick(p, s)
-    sprung = p[KIND] == MAXWELL or p[KIND] == GMS
-    share = _set_out(p, s) if sprung else 0.0
-    time = step
-    x1, v1, x2, v2, z, motor, seen = _step(p, s, time, command, share)
+    share = _set_out(p, s) if p[KIND] >= MAXWELL else 0.0
+    x1, v1, x2, v2, z, motor, seen = _step(p, s, step, command, share)
     side = _turned(p, s, v1, v2)
     if side != 0:
-        before = s[V1] if side == 1 else s[V2]
-        low, high, at_low, at_high = 0.0, step, before, v1 if side == 1 else v2
-        if before == 0.0:  # broke away and is turned back: as far as it goes, or not at all
-            for _ in range(_HALVINGS):
-                time *= 0.5
-                x1, v1, x2, v2, z, motor, seen = _step(p, s, time, command, share)
-                if _turned(p, s, v1, v2) == 0:
-                    break
-            else:
-                if side == 1 and not sprung:
-                    s[WAY] = 0.0
-                elif side == 1:
-                    s[WAY] = -s[WAY]
-                else:
-                    s[WAY_LOAD] = 0.0
-                x1, v1, x2, v2, z, motor, seen = _step(p, s, time, command, share)
+        if (s[V1] if side == 1 else s[V2]) == 0.0:
+            step = _barely(p, s, step, command, share, side)
             side = 0
         else:
-            last = 0
-            for _ in range(_SECANTS):  # Illinois: a secant that keeps its bracket
-                time = high - at_high * (high - low) / (at_high - at_low)
-                x1, v1, x2, v2, z, motor, seen = _step(p, s, time, command, share)
-                speed = v1 if side == 1 else v2
-                if speed * at_low > 0.0:
-                    low, at_low = time, speed
-                    at_high = at_high / 2 if last < 0 else at_high
-                    last = -1
-                else:
-                    high, at_high = time, speed
-                    at_low = at_low / 2 if last > 0 else at_low
-                    last = 1
-                if high - low < _STILL * step or speed == 0.0:
-                    break
-    if sprung:
-        _moved(p, s, x1, v1, z, time, share)
+            step = _reversal(p, s, step, command, share, side, v1 if side == 1 else v2)
+        x1, v1, x2, v2, z, motor, seen = _step(p, s, step, command, share)
+    if p[KIND] >= MAXWELL:
+        _moved(p, s, x1, v1, z, step, share)
     s[X1], s[V1], s[X2], s[V2], s[Z], s[MOTOR], s[SEEN] = x1, v1, x2, v2, z, motor, seen
-    s[TIME] += time
+    s[TIME] += step
     if side == 1:
-        s[V1], s[WAY] = 0.0, 0.0
+        s[V1] = 0.0
+        if p[KIND] == BRISTLES:
+            _release(p, s)
+        s[WAY] = 0.0
     elif side == 2:
         s[V2], s[WAY_LOAD] = 0.0, 0.0
-    return time
+    return step
 
 
 def advance(p: Numbers, s: MutableSequence[float], duration: float, command: float) -> None:

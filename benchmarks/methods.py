@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import random
 import statistics
 import sys
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -222,58 +221,6 @@ def everything(pool: ProcessPoolExecutor) -> list[Outcome]:
     return list(pool.map(run, cases, chunksize=4))
 
 
-# -- intervals ----------------------------------------------------------------------------------------
-
-
-def random_case(seed: int) -> tuple[str, float, float]:
-    """A random rigid axis as a link, its cycle, and its Coulomb friction."""
-    draw = random.Random(seed)
-    name = draw.choice(("bench", "emps", "hsm150", "ur10e", "puma", "vertical", "mx106"))
-    axis = AXES[name]
-    cycle = draw.choice(CYCLES)
-    coulomb = axis.coulomb * draw.uniform(0.7, 1.3)
-    options = {
-        "inertia": axis.inertia * draw.uniform(0.6, 1.7),
-        "viscous": axis.viscous * draw.uniform(0.3, 2.0),
-        "coulomb": coulomb,
-        "breakaway": coulomb * draw.choice((1.0, 1.0, 1.1, 1.2)),
-        "load": axis.load * draw.uniform(0.7, 1.1),
-        "asymmetry": draw.choice((0.0, draw.uniform(-0.1, 0.1))),
-        "encoder": draw.choice((2500, 4096, 10000, 131072))
-        if axis.motion == "rotary"
-        else axis.encoder,
-        "delay": draw.uniform(0.001, 0.01) if cycle < 0.01 else cycle,
-        "lag": draw.choice((0.0, 0.0005, 0.001)),
-        "seed": seed,
-    }
-    if draw.random() < 0.5:
-        options |= {"jitter": draw.uniform(0, 0.1), "loss": draw.uniform(0, 0.02)}
-    query = "&".join(f"{key}={value!r}" for key, value in options.items())
-    return f"virtual://{name}?{query}", cycle, coulomb
-
-
-def interval(seed: int) -> tuple[bool, float, float, int, str] | str:
-    """Whether the interval covers the truth, its half-width and the error in per cent, periods, verdict."""
-    link, cycle, truth = random_case(seed)
-    try:
-        result = measure(link, cycle)
-    except Failure as failure:
-        return str(failure.error)
-    except Exception as bug:
-        return f"BUG {type(bug).__name__}: {bug} at {link}"
-    coulomb, watched = result.friction.coulomb, result.experiment
-    assert coulomb is not None
-    assert watched is not None
-    low, high = coulomb.low or 0.0, coulomb.high or 0.0
-    return (
-        low <= truth <= high,
-        50 * (high - low) / coulomb.value,
-        100 * (coulomb.value / truth - 1),
-        round(watched.periods),
-        result.quality.verdict or "",
-    )
-
-
 # -- tables -------------------------------------------------------------------------------------------
 
 
@@ -293,9 +240,9 @@ def summary(outcomes: Iterable[Outcome], key: str) -> str:
     )
 
 
-def table(outcomes: list[Outcome], count: int, pool: ProcessPoolExecutor) -> list[str]:
+def table(outcomes: list[Outcome]) -> list[str]:
     lines = [
-        "# Accuracy",
+        "# Every method on every axis",
         "",
         "Written by `make bench`. Errors in per cent against the virtual axis: median / worst of the absolute",
         "error over the axes and cycles of 1, 4, 10 and 20 ms, and how many runs gave no such number.",
@@ -332,7 +279,6 @@ def table(outcomes: list[Outcome], count: int, pool: ProcessPoolExecutor) -> lis
         lines.append("")
     lines += _auto_periods(outcomes)
     lines += _per_axis(outcomes)
-    lines += _intervals(count, pool)
     return lines
 
 
@@ -381,54 +327,15 @@ def _per_axis(outcomes: list[Outcome]) -> list[str]:
     return [*lines, ""]
 
 
-def _intervals(count: int, pool: ProcessPoolExecutor) -> list[str]:
-    found = list(pool.map(interval, range(count), chunksize=10))
-    rows = [f for f in found if not isinstance(f, str)]
-    covered = sum(r[0] for r in rows)
-    errors = sorted(abs(r[2]) for r in rows)
-    lines = [
-        f"## Intervals over {count} random rigid axes",
-        "",
-        "Inertia, friction, load, direction, breakaway, encoder, delay, lag, cycle, jitter and loss drawn.",
-        "",
-        "| | |",
-        "| --- | --- |",
-        f"| interval covers the truth | {covered} of {len(rows)}, {100 * covered / len(rows):.1f} % |",
-        f"| half-width, median | {statistics.median(r[1] for r in rows):.2f} % |",
-        f"| error of f: median / 95 % / worst | {statistics.median(errors):.2f} / {errors[int(0.95 * len(errors))]:.2f} / {errors[-1]:.2f} % |",
-        f"| at most 12 periods / 30 | {sum(r[3] <= 12 for r in rows)} / {sum(r[3] <= 30 for r in rows)} |",
-        f"| verdict good / usable | {sum(r[4] == 'good' for r in rows)} / {sum(r[4] == 'usable' for r in rows)} |",
-        f"| refused or rejected | {len(found) - len(rows)} |",
-        "",
-    ]
-    reasons: dict[str, int] = {}
-    for text in found:
-        if isinstance(text, str):
-            key = text.split(":")[0][:60]
-            reasons[key] = reasons.get(key, 0) + 1
-    return lines + [f"- {n} × {text}" for text, n in sorted(reasons.items())]
-
-
-def accuracy(count: int = 2000) -> list[str]:
+def methods() -> list[str]:
     with (
         tempfile.TemporaryDirectory() as folder,
         ProcessPoolExecutor(
             max_workers=os.cpu_count(), initializer=_home, initargs=(folder,)
         ) as pool,
     ):
-        return table(everything(pool), count, pool)
+        return table(everything(pool))
 
 
 def _home(folder: str) -> None:
     os.environ["TWORELAY_HOME"] = str(Path(folder) / str(os.getpid()))
-
-
-def main(write: Callable[[str], object] = print) -> None:
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 2000
-    text = "\n".join(accuracy(count)) + "\n"
-    (HERE / "accuracy.md").write_text(text, "utf-8")
-    write(text)
-
-
-if __name__ == "__main__":
-    main()

@@ -345,7 +345,8 @@ def case(kind: str, seed: int, number: int) -> Case:
     drawn = _base(random.Random(f"{seed}/{kind}/{number}"))
     CLASSES[kind](drawn)
     options = drawn.options
-    watchdog = max(0.02, 5 * drawn.cycle)
+    slack = 12 if options.get("jitter") else 5  # cycles
+    watchdog = max(0.02, slack * drawn.cycle)
     silent = watchdog + options["delay"] + 3 * drawn.cycle
     push = _PUSH * drawn.ratio
     fast = drawn.peak + push * silent

@@ -17,8 +17,10 @@ sys.path.insert(0, str(HERE.parent))
 import numpy as np  # noqa: E402
 from scipy.signal import butter, filtfilt  # noqa: E402
 
+from benchmarks.classes import Case  # noqa: E402
 from commissioning.desk import Desk, Options  # noqa: E402
-from commissioning.identification.steady import SteadyPoint, fit  # noqa: E402
+from commissioning.identification.record import Record  # noqa: E402
+from commissioning.identification.steady import SteadyFit, SteadyPoint, fit  # noqa: E402
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
 from commissioning.result.document import RunResult  # noqa: E402
@@ -26,7 +28,10 @@ from commissioning.rig.armed import Failure  # noqa: E402
 from commissioning.runs import RunFolder  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
 from drivers.link import axis_of, open_drive, parse  # noqa: E402
+from drivers.sample import Sample  # noqa: E402
 from drivers.virtual.axes import AXES, VirtualAxis, configured  # noqa: E402
+from profiles.axis import Axis  # noqa: E402
+from profiles.errors import TwoRelayError  # noqa: E402
 from profiles.procedures import Mode  # noqa: E402
 
 CYCLES = (0.001, 0.004, 0.010, 0.020)
@@ -132,22 +137,33 @@ def run(case: tuple[str, float, bool, str]) -> Outcome:
 
 
 def idim(outcome: Outcome, result: RunResult, truth: dict[str, float]) -> Outcome:
-    """Inverse dynamic identification model with zero-phase filtering (Gautier), on auto's own record.
-
-    Position by a Butterworth filter forwards and backwards, velocity and acceleration by central
-    differences, the same filter on the torque, least squares.
-    """
+    """IDIM-LS on auto's own record."""
     folder = RunFolder(Path(os.environ["TWORELAY_HOME"]) / "runs" / str(result.run))
     samples = folder.samples()
     assert samples is not None
     assert result.experiment is not None
     first, second = result.experiment.cycles
     keep = (samples["time"] >= first.begin) & (samples["time"] <= second.end)
-    time, y, u = (samples[key][keep] for key in ("time", "position", "command"))
+    time, y = samples["time"][keep], samples["position"][keep]
+    record = Record.of(time, y, samples["sent"], samples["command"], 0.0)
+    found = idim_numbers(record, first.period)
+    for key, value in found.items():
+        outcome.error[key] = 100 * (value / truth[key] - 1) if truth[key] else None
+    return outcome
+
+
+def idim_numbers(record: Record, period: float) -> dict[str, float]:
+    """Inverse dynamic identification model with zero-phase filtering (Gautier).
+
+    Position by a Butterworth filter forwards and backwards, velocity and acceleration by central
+    differences, the same filter on the torque, least squares.
+    """
+    time = record.time
     step = float(np.median(np.diff(time)))
     grid = np.arange(time[0], time[-1], step)
-    y, u = np.interp(grid, time, y), np.interp(grid, time, u)
-    cutoff = min(10 / first.period, 0.4 / step)  # ten times the fundamental
+    y = np.interp(grid, time, record.position)
+    u = np.interp(grid, record.sent, record.command)
+    cutoff = min(10 / period, 0.4 / step)  # ten times the fundamental
     b, a = butter(4, cutoff * 2 * step)
     smooth = filtfilt(b, a, y)
     speed = np.gradient(smooth, step)
@@ -156,58 +172,72 @@ def idim(outcome: Outcome, result: RunResult, truth: dict[str, float]) -> Outcom
     filtered = np.column_stack([filtfilt(b, a, column) for column in columns.T])
     inner = slice(20, -20)
     solution, *_ = np.linalg.lstsq(filtered[inner], filtfilt(b, a, u)[inner], rcond=None)
-    for key, value in (
-        ("inertia", solution[0]),
-        ("viscous", solution[1]),
-        ("coulomb", solution[2]),
-    ):
-        outcome.error[key] = 100 * (float(value) / truth[key] - 1) if truth[key] else None
-    return outcome
+    return dict(zip(("inertia", "viscous", "coulomb"), solution[:3].tolist(), strict=True))
 
 
 def sweep(outcome: Outcome, link: str, axis: VirtualAxis, truth: dict[str, float]) -> Outcome:
-    """Constant speeds both ways in position mode, the drive's own torque, a straight line."""
+    """A velocity sweep, and a straight line."""
     virtual = axis_of(link)
     limits = virtual.limits.model_copy(
         update={"watchdog": max(WATCHDOG, WATCHDOG_CYCLES * outcome.cycle)}
     )
-    drive = open_drive(virtual.model_copy(update={"limits": limits}), cycle=outcome.cycle)
+    top = 0.25 * min(axis.speed, 4 * ROOM[axis.name])
+    try:
+        found, samples = _swept(virtual.model_copy(update={"limits": limits}), outcome.cycle, top)
+    except ValueError as error:
+        outcome.refused = str(error)
+        return outcome
+    outcome.seconds = samples[-1].time - samples[0].sent
+    positions = [s.position for s in samples]
+    outcome.travel = max(positions) - min(positions)
+    for key in ("coulomb", "viscous"):
+        value = getattr(found, key).value
+        outcome.error[key] = 100 * (value / truth[key] - 1) if truth[key] else None
+    return outcome
+
+
+def swept(one: Case) -> float | None:
+    """Error of f in per cent by a velocity sweep of an axis of the campaign; None: no number."""
+    link = axis_of(one.link)
+    limits = link.limits.model_copy(update={"watchdog": one.watchdog})
+    axis = one.axis
+    try:
+        found, _ = _swept(link.model_copy(update={"limits": limits}), one.cycle, axis.speed / 16)
+    except (ValueError, TwoRelayError):
+        return None
+    truth = (axis.coulomb + axis.load_coulomb) / axis.torque_gain
+    return 100 * (found.coulomb.value / truth - 1)
+
+
+def _swept(link: Axis, cycle: float, top: float) -> tuple[SteadyFit, list[Sample]]:
+    """Constant speeds both ways in position mode, the drive's own torque.
+
+    Raises ValueError where that is no friction curve.
+    """
+    drive = open_drive(link, cycle=cycle)
     points, samples = [], []
     try:
         for name, raw in drive.preparation.watchdog().items():
             drive.write(name, raw)
         drive.enable(Mode.POSITION, 0.0)
         goal = drive.read("position_actual").si
-        top = 0.25 * min(axis.speed, 4 * ROOM[axis.name])
         for share in (0.1, 0.2, 0.4, 0.6, 0.8, 1.0):
             for direction in (1, -1):
                 speed, torques = direction * share * top, []
-                count = round(1.0 / outcome.cycle)
+                count = round(1.0 / cycle)
                 for n in range(count):
-                    goal += speed * outcome.cycle
+                    goal += speed * cycle
                     sample = drive.exchange(goal)
                     samples.append(sample)
                     if not sample.status.enabled:
-                        outcome.refused = "the drive stopped: following error"
-                        return outcome
+                        raise ValueError("the drive stopped: following error")
                     if n > count // 2:
                         torques.append(sample.torque)
                 points.append(SteadyPoint(speed, float(np.mean(torques)), float(np.std(torques))))
     finally:
         drive.stop()
         drive.close()
-    outcome.seconds = samples[-1].time - samples[0].sent
-    positions = [s.position for s in samples]
-    outcome.travel = max(positions) - min(positions)
-    try:
-        found = fit(points)
-    except ValueError as error:
-        outcome.refused = str(error)
-        return outcome
-    for key in ("coulomb", "viscous"):
-        value = getattr(found, key).value
-        outcome.error[key] = 100 * (value / truth[key] - 1) if truth[key] else None
-    return outcome
+    return fit(points), samples
 
 
 def everything(pool: ProcessPoolExecutor) -> list[Outcome]:

@@ -1,0 +1,407 @@
+"""make accuracy [SEED=N]: random axes of every class, closed loop, against the truth.
+
+40 axes a class, measured as a technician would, and by what an engineer would use instead. A call
+goes on where the last one ended, for about nine minutes; `.accuracy/` keeps what is known. Without
+a seed the unfinished campaign goes on, or a new seed is drawn. Ends with "accuracy: N of M axes".
+"""
+
+from __future__ import annotations
+
+import cmath
+import json
+import math
+import os
+import random
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE.parent))
+
+import numpy as np  # noqa: E402
+
+from benchmarks.bound import coulomb_bound  # noqa: E402
+from benchmarks.classes import CLASSES, RIGID, Case, case  # noqa: E402
+from benchmarks.methods import idim_numbers, swept  # noqa: E402
+from commissioning.desk import Desk, Options  # noqa: E402
+from commissioning.identification.record import Record  # noqa: E402
+from commissioning.interruption import Interruption  # noqa: E402
+from commissioning.journal import Journal  # noqa: E402
+from commissioning.result.document import RunResult  # noqa: E402
+from commissioning.result.found import Point  # noqa: E402
+from commissioning.rig import mover  # noqa: E402
+from commissioning.rig.armed import Failure  # noqa: E402
+from commissioning.runs import RunFolder  # noqa: E402
+from commissioning.session import identify as session  # noqa: E402
+from drivers.link import axis_of  # noqa: E402
+from drivers.virtual import compliant_plant  # noqa: E402
+from drivers.virtual.axes import VirtualAxis  # noqa: E402
+from drivers.virtual.plant import PlantParameters  # noqa: E402
+
+KNOWN = HERE.parent / ".accuracy"
+AXES, MINUTES = 40, 9.0
+NUMBERS = ("coulomb", "inertia", "viscous", "offset", "dead_time")
+POINTS = ("corrected", "measured", "at_180", "at_135")
+COLUMNS = (
+    "good / usable / refused", "f", "J", "B", "offset", "dead time", "interval true", "half-width",
+    "lies", "bound", "periods", "s of motion", "s of analysis", "simulated s a second", "IDIM-LS",
+    "sweep",
+)  # fmt: skip
+LIE = 3.0  # %: a `good` result that is off by more
+# where it is the friction of a linear plant on the measured side
+LINEAR = (*RIGID, "fine stamps", "stamps", "load", "drift", "drag", "twomass", "belt", "stiff")
+
+
+@dataclass
+class Outcome:
+    """One axis against the truth; errors in per cent of the truth, offset in per cent of friction."""
+
+    kind: str
+    number: int
+    link: str
+    verdict: str = ""  # '' : refused
+    why: str = ""
+    error: dict[str, float] = field(default_factory=dict)
+    covered: bool | None = None
+    half_width: float | None = None
+    periods: int = 0
+    moving: float = 0.0  # s of the axis
+    analysis: float = 0.0  # s of the processor
+    speed: float = 0.0  # simulated seconds a second
+    bound: float | None = None  # |error| of f over its Cramér–Rao bound
+    points: dict[str, tuple[float, float, bool | None]] = field(default_factory=dict)
+    peers: dict[str, float | None] = field(default_factory=dict)
+
+
+# -- one axis -----------------------------------------------------------------------------------------
+
+
+def measured(one: Case) -> Outcome:
+    """Measure an axis of the campaign; a refusal is an outcome, a bug is told as one."""
+    outcome = Outcome(one.kind, one.number, one.link)
+    moving: list[float] = []
+    original = vars(mover)["run"]
+
+    def timed(*arguments: Any, **keywords: Any) -> Any:
+        begin = time.process_time()
+        try:
+            return original(*arguments, **keywords)
+        finally:
+            moving.append(time.process_time() - begin)
+
+    with tempfile.TemporaryDirectory() as folder, patch.object(mover, "run", timed):
+        begin = time.process_time()
+        try:
+            result = _identified(one, Path(folder))
+        except Failure as failure:
+            outcome.why = str(failure.error)
+            _refused(outcome, failure.result)
+            return outcome
+        except Exception as bug:
+            outcome.why = f"BUG {type(bug).__name__}: {bug}"
+            return outcome
+        outcome.analysis = time.process_time() - begin - sum(moving)
+        samples = RunFolder(Path(folder) / "runs" / str(result.run)).samples()
+    assert samples is not None
+    assert result.experiment is not None
+    outcome.speed = result.experiment.duration / max(sum(moving), 1e-9)
+    first, second = result.experiment.cycles
+    keep = (samples["time"] >= first.begin) & (samples["time"] <= second.end)
+    record = Record.of(
+        samples["time"][keep], samples["position"][keep], samples["sent"], samples["command"],
+        one.axis.resolution,
+    )  # fmt: skip
+    _compare(outcome, result, record)
+    outcome.peers["IDIM-LS"] = _error(idim_numbers(record, first.period)["coulomb"], one.axis)
+    outcome.peers["sweep"] = swept(one)
+    return outcome
+
+
+def _identified(one: Case, home: Path) -> RunResult:
+    axis = axis_of(one.link)
+    limits = axis.limits.model_copy(update={"watchdog": one.watchdog})
+    with Journal(home) as journal, Interruption() as interruption:
+        desk = Desk(journal, interruption, lambda text: None, lambda question, word: True)
+        options = Options(cycle=one.cycle, travel=one.travel)
+        return session.identify(axis.model_copy(update={"limits": limits}), options, desk)
+
+
+def _refused(outcome: Outcome, result: RunResult | None) -> None:
+    if result is not None and result.experiment is not None:
+        outcome.periods = round(result.experiment.periods)
+        outcome.moving = result.experiment.duration
+
+
+def _compare(outcome: Outcome, result: RunResult, record: Record) -> None:
+    axis, watched = case_of(outcome).axis, result.experiment
+    assert watched is not None
+    assert result.friction.coulomb is not None
+    outcome.verdict = str(result.quality.verdict)
+    outcome.periods, outcome.moving = round(watched.periods), watched.duration
+    outcome.why = "; ".join(r.code for r in result.quality.reasons if r.weight != "note")
+    truth = truth_of(axis, record)
+    found = result.friction.coulomb
+    for name, value in truth.items():
+        number = result.friction.quantity(name)
+        if number is not None and value is not None:
+            scale = truth["coulomb"] if name == "offset" else value
+            assert scale is not None
+            if scale:
+                outcome.error[name] = 100 * (number.value - value) / scale
+    f = truth["coulomb"]
+    assert f is not None
+    assert found.low is not None
+    assert found.high is not None
+    outcome.covered = bool(found.low <= f <= found.high)
+    outcome.half_width = 50 * (found.high - found.low) / found.value
+    if outcome.kind in RIGID:
+        outcome.bound = abs(found.value - f) / bound_of(axis, record, f)
+    if outcome.kind in LINEAR and result.critical_point is not None:
+        for name in POINTS:
+            point = result.critical_point.point(name)
+            if point is not None:
+                outcome.points[name] = against_plant(point, axis)
+
+
+def case_of(outcome: Outcome) -> Case:
+    return Case(outcome.kind, outcome.number, outcome.link, 0.0, 0.0, 0.0)
+
+
+def truth_of(axis: VirtualAxis, record: Record) -> dict[str, float | None]:
+    """What is right, in units of the commanded torque; None where a number has no one meaning."""
+    f = axis.coulomb + axis.load_coulomb
+    if axis.drift:  # the mean over the samples used
+        f *= 1 + axis.drift * float(record.time.mean())
+    if axis.position_slope or axis.position_wave:
+        x = record.position
+        wave = axis.position_wave * np.sin(2 * np.pi * x / axis.position_pitch)
+        f *= float(np.mean(1 + axis.position_slope * x + wave))
+    gain = axis.torque_gain
+    uneven = axis.gravity or axis.spring or axis.position_slope or axis.position_wave
+    return {
+        "coulomb": f / gain,
+        "inertia": axis.inertia / gain,
+        "viscous": (axis.viscous / gain) if axis.viscous else None,
+        "offset": None if uneven else (axis.load + f * axis.asymmetry) / gain,
+        "dead_time": axis.delay + axis.lag + axis.tick,
+    }
+
+
+def _error(value: float | None, axis: VirtualAxis) -> float | None:
+    f = (axis.coulomb + axis.load_coulomb) / axis.torque_gain
+    return None if value is None else 100 * (value / f - 1)
+
+
+def bound_of(axis: VirtualAxis, record: Record, f: float) -> float:
+    noise = math.sqrt(axis.resolution**2 / 12 + axis.noise**2)
+    offset = axis.load + axis.coulomb * axis.asymmetry
+    truth = PlantParameters(axis.inertia, axis.viscous, f, f, offset, lag=axis.lag)
+    return coulomb_bound(record, truth, axis.delay, noise)
+
+
+def against_plant(point: Point, axis: VirtualAxis) -> tuple[float, float, bool | None]:
+    """Errors of gain (%) and phase (°) at the point's frequency, or, of a point at a phase, there."""
+    w = 2 * math.pi / point.period
+    truth = plant_of(axis, w)
+    gain = 100 * (point.gain / abs(truth) - 1)
+    turned = (point.phase_deg - math.degrees(cmath.phase(truth)) + 180) % 360 - 180
+    covered = None
+    if point.gain_low is not None and point.gain_high is not None:
+        allowed = (point.phase_high_deg or point.phase_deg) - point.phase_deg
+        covered = bool(point.gain_low <= abs(truth) <= point.gain_high and abs(turned) <= allowed)
+    return gain, turned, covered
+
+
+def plant_of(axis: VirtualAxis, w: float) -> complex:
+    """The virtual axis between torque in force and position at ω, rad/s, friction left out."""
+    s = 1j * w
+    late = cmath.exp(-s * axis.delay) / (1 + s * axis.lag)
+    if not axis.resonance:
+        return late / (axis.inertia * s * s + axis.viscous * s)
+    load = axis.inertia * axis.ratio / (1 + axis.ratio)
+    motor = axis.inertia - load
+    resonance = 2 * math.pi * axis.resonance
+    reduced = motor * load / axis.inertia
+    spring = reduced * resonance**2 + 2 * axis.damping * reduced * resonance * s
+    return late / (motor * s * s + axis.viscous * s + spring - spring**2 / (load * s * s + spring))
+
+
+# -- the campaign -------------------------------------------------------------------------------------
+
+
+def _home() -> None:
+    compliant_plant.accelerate()
+
+
+def state_file(seed: int) -> Path:
+    return KNOWN / f"{seed}.jsonl"
+
+
+def known(seed: int) -> dict[tuple[str, int], Outcome]:
+    path = state_file(seed)
+    found = {}
+    if path.exists():
+        for line in path.read_text("utf-8").splitlines():
+            outcome = Outcome(**json.loads(line))
+            found[outcome.kind, outcome.number] = outcome
+    return found
+
+
+def seed_to_use(asked: str) -> int:
+    if asked:
+        return int(asked)
+    for path in sorted(KNOWN.glob("*.jsonl"), key=lambda p: p.stat().st_mtime, reverse=True):
+        seed = int(path.stem)
+        if seed > 9 and len(known(seed)) < AXES * len(CLASSES):
+            return seed
+    return random.SystemRandom().randrange(10, 1_000_000)  # 1–9 are for tuning
+
+
+def go_on(
+    seed: int, kinds: Sequence[str], axes: int, minutes: float
+) -> dict[tuple[str, int], Outcome]:
+    """Measure what is not known yet, as far as the time allows."""
+    KNOWN.mkdir(exist_ok=True)
+    have = known(seed)
+    todo = [case(k, seed, n) for n in range(axes) for k in kinds if (k, n) not in have]
+    end, total = time.monotonic() + 60 * minutes, len(todo)
+    with (
+        state_file(seed).open("a", encoding="utf-8") as file,
+        ProcessPoolExecutor(os.cpu_count(), initializer=_home) as pool,
+    ):
+        waiting = [pool.submit(measured, one) for one in todo]
+        for done, future in enumerate(waiting, 1):
+            if time.monotonic() > end:
+                pool.shutdown(wait=True, cancel_futures=True)
+                for late in waiting[done - 1 :]:
+                    if late.done() and not late.cancelled():
+                        _keep(late.result(), have, file)
+                break
+            _keep(future.result(), have, file)
+            if done % 20 == 0:
+                print(f"{done} of {total} axes", file=sys.stderr, flush=True)
+    return have
+
+
+def _keep(outcome: Outcome, have: dict[tuple[str, int], Outcome], file: Any) -> None:
+    have[outcome.kind, outcome.number] = outcome
+    file.write(json.dumps(asdict(outcome), default=float) + "\n")
+    file.flush()
+
+
+# -- tables -------------------------------------------------------------------------------------------
+
+
+def spread(values: Iterable[float], digits: int = 2) -> str:
+    """Median / 95 % / worst of the sizes."""
+    sizes = sorted(abs(v) for v in values)
+    if not sizes:
+        return "–"
+    at = sizes[min(math.ceil(0.95 * len(sizes)) - 1, len(sizes) - 1)]
+    return " / ".join(f"{v:.{digits}f}" for v in (statistics.median(sizes), at, sizes[-1]))
+
+
+def row(kind: str, mine: list[Outcome]) -> str:
+    given = [o for o in mine if o.verdict]
+    good = [o for o in given if o.verdict == "good"]
+    verdicts = f"{len(good)} / {len(given) - len(good)} / {len(mine) - len(given)}"
+    errors = [spread(o.error[n] for o in given if n in o.error) for n in NUMBERS]
+    covered = f"{sum(bool(o.covered) for o in given)} of {len(given)}"
+    width = f"{statistics.median(o.half_width or 0.0 for o in given):.2f}" if given else "–"
+    lies = sum(abs(o.error["coulomb"]) > LIE for o in good)
+    bound = spread((o.bound for o in given if o.bound is not None), 1) if kind in RIGID else "–"
+    middle = [
+        f"{statistics.median(value):.{digits}f}" if value else "–"
+        for value, digits in (
+            ([o.periods for o in given], 0), ([o.moving for o in given], 0),
+            ([o.analysis for o in given], 2), ([o.speed for o in given], 0),
+        )
+    ]  # fmt: skip
+    peers = [
+        spread((v for o in given if (v := o.peers.get(name)) is not None), 0)
+        for name in ("IDIM-LS", "sweep")
+    ]
+    cells = [kind, verdicts, *errors, covered, width, str(lies), bound, *middle, *peers]
+    return "| " + " | ".join(cells) + " |"
+
+
+def table(seed: int, outcomes: list[Outcome], axes: int) -> list[str]:
+    lines = [
+        "# Accuracy",
+        "",
+        f"Written by `make accuracy SEED={seed}`: {axes} random axes of every class ({len(outcomes)} in all), each",
+        "measured as a technician would, friction and all else unknown. The seed was drawn by the program.",
+        "Errors in per cent of the truth (offset: of the friction), median / 95 % / worst, of what was given.",
+        "Torque and friction are in units of the commanded torque. `lies`: `good` results off by more than 3 %.",
+        "Bound: error of f over its Cramér–Rao bound (J, B, f, offset, dead time, lag and one initial state",
+        "unknown). Peers: error of f of IDIM-LS on the same record, and of a sweep of constant speeds.",
+        "",
+        "| class | " + " | ".join(COLUMNS) + " |",
+        "| --- |" + " --- |" * 16,
+    ]
+    by_kind = {kind: [o for o in outcomes if o.kind == kind] for kind in CLASSES}
+    lines += [row(kind, mine) for kind, mine in by_kind.items() if mine]
+    rigid = [o for o in outcomes if o.kind in RIGID]
+    lines += [
+        row("**rigid classes**", rigid).replace("| – | ", "| – | ", 1),
+        row("**all**", outcomes),
+    ]
+    lines += ["", "## Points of the plant, linear classes", "", *_points(outcomes)]
+    lines += ["", "## Why refused", "", *_reasons(outcomes)]
+    return lines
+
+
+def _points(outcomes: list[Outcome]) -> list[str]:
+    lines = [
+        "Gain in per cent and phase in degrees against the true plant at the point's own frequency.",
+        "",
+        "| point | gain | phase | interval true |",
+        "| --- | --- | --- | --- |",
+    ]
+    for name in POINTS:
+        found = [o.points[name] for o in outcomes if name in o.points]
+        told = [p[2] for p in found if p[2] is not None]
+        lines.append(
+            f"| {name} | {spread(p[0] for p in found)} | {spread(p[1] for p in found)} | "
+            f"{sum(told)} of {len(told)} |"
+        )
+    return lines
+
+
+def _reasons(outcomes: list[Outcome]) -> list[str]:
+    counted: dict[str, list[str]] = {}
+    for o in outcomes:
+        if not o.verdict:
+            words = " ".join(w for w in o.why.split() if not any(c.isdigit() for c in w))
+            counted.setdefault(words[:90], []).append(o.kind)
+    return [
+        f"- {len(kinds)} × {text} … ({', '.join(sorted(set(kinds)))})"
+        for text, kinds in sorted(counted.items(), key=lambda item: -len(item[1]))
+    ]
+
+
+def main() -> None:
+    seed = seed_to_use(os.environ.get("SEED", ""))
+    axes = int(os.environ.get("AXES", str(AXES)))
+    kinds = [k for k in os.environ.get("CLASSES", "").split(",") if k] or list(CLASSES)
+    minutes = float(os.environ.get("MINUTES", str(MINUTES)))
+    print(f"seed {seed}", file=sys.stderr, flush=True)
+    have = go_on(seed, kinds, axes, minutes)
+    mine = [o for (kind, number), o in sorted(have.items()) if kind in kinds and number < axes]
+    text = "\n".join(table(seed, mine, axes)) + "\n"
+    complete = len(mine) == axes * len(CLASSES)
+    (HERE / "accuracy.md" if complete else KNOWN / f"{seed}.md").write_text(text, "utf-8")
+    print(text)
+    print(f"accuracy: {len(mine)} of {axes * len(kinds)} axes")
+
+
+if __name__ == "__main__":
+    main()

@@ -32,14 +32,15 @@ from benchmarks.bound import coulomb_bound  # noqa: E402
 from benchmarks.classes import CLASSES, RIGID, Case, case  # noqa: E402
 from benchmarks.methods import idim_numbers, swept  # noqa: E402
 from commissioning.desk import Desk, Options  # noqa: E402
+from commissioning.identification.modulating import estimate  # noqa: E402
 from commissioning.identification.record import Record  # noqa: E402
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
 from commissioning.result.document import RunResult  # noqa: E402
 from commissioning.result.found import Point  # noqa: E402
+from commissioning.rig import methods as rig_methods  # noqa: E402
 from commissioning.rig import mover  # noqa: E402
 from commissioning.rig.armed import Failure  # noqa: E402
-from commissioning.runs import RunFolder  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
 from drivers.link import axis_of  # noqa: E402
 from drivers.virtual import compliant_plant  # noqa: E402
@@ -51,7 +52,7 @@ AXES, MINUTES = 40, 9.0
 NUMBERS = ("coulomb", "inertia", "viscous", "offset", "dead_time")
 POINTS = ("corrected", "measured", "at_180", "at_135")
 COLUMNS = (
-    "good / usable / refused", "f", "J", "B", "offset", "dead time", "interval true", "half-width",
+    "good / usable / refused", "f", "J", "B", "offset", "dead time", "interval true (in this order)", "half-width",
     "lies", "bound", "periods", "s of motion", "s of analysis", "simulated s a second", "IDIM-LS",
     "sweep",
 )  # fmt: skip
@@ -70,7 +71,7 @@ class Outcome:
     verdict: str = ""  # '' : refused
     why: str = ""
     error: dict[str, float] = field(default_factory=dict)
-    covered: bool | None = None
+    covered: dict[str, bool] = field(default_factory=dict)  # the truth, by the interval
     half_width: float | None = None
     periods: int = 0
     moving: float = 0.0  # s of the axis
@@ -97,7 +98,17 @@ def measured(one: Case) -> Outcome:
         finally:
             moving.append(time.process_time() - begin)
 
-    with tempfile.TemporaryDirectory() as folder, patch.object(mover, "run", timed):
+    records: list[Record] = []
+
+    def kept(record: Record, **keywords: Any) -> Any:
+        records.append(record)
+        return estimate(record, **keywords)
+
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        patch.object(mover, "run", timed),
+        patch.object(rig_methods, "estimate", kept),
+    ):
         begin = time.process_time()
         try:
             result = _identified(one, Path(folder))
@@ -109,18 +120,13 @@ def measured(one: Case) -> Outcome:
             outcome.why = f"BUG {type(bug).__name__}: {bug}"
             return outcome
         outcome.analysis = time.process_time() - begin - sum(moving)
-        samples = RunFolder(Path(folder) / "runs" / str(result.run)).samples()
-    assert samples is not None
     assert result.experiment is not None
     outcome.speed = result.experiment.duration / max(sum(moving), 1e-9)
-    first, second = result.experiment.cycles
-    keep = (samples["time"] >= first.begin) & (samples["time"] <= second.end)
-    record = Record.of(
-        samples["time"][keep], samples["position"][keep], samples["sent"], samples["command"],
-        one.axis.resolution,
-    )  # fmt: skip
+    record = records[-1]  # what the numbers are of
     _compare(outcome, result, record)
-    outcome.peers["IDIM-LS"] = _error(idim_numbers(record, first.period)["coulomb"], one.axis)
+    outcome.peers["IDIM-LS"] = _error(
+        idim_numbers(record, result.experiment.cycles[0].period)["coulomb"], one.axis
+    )
     outcome.peers["sweep"] = swept(one)
     return outcome
 
@@ -152,6 +158,8 @@ def _compare(outcome: Outcome, result: RunResult, record: Record) -> None:
     for name, value in truth.items():
         number = result.friction.quantity(name)
         if number is not None and value is not None:
+            if number.low is not None and number.high is not None:
+                outcome.covered[name] = bool(number.low <= value <= number.high)
             scale = truth["coulomb"] if name == "offset" else value
             assert scale is not None
             if scale:
@@ -160,7 +168,6 @@ def _compare(outcome: Outcome, result: RunResult, record: Record) -> None:
     assert f is not None
     assert found.low is not None
     assert found.high is not None
-    outcome.covered = bool(found.low <= f <= found.high)
     outcome.half_width = 50 * (found.high - found.low) / found.value
     if outcome.kind in RIGID:
         outcome.bound = abs(found.value - f) / bound_of(axis, record, f)
@@ -314,7 +321,8 @@ def row(kind: str, mine: list[Outcome]) -> str:
     good = [o for o in given if o.verdict == "good"]
     verdicts = f"{len(good)} / {len(given) - len(good)} / {len(mine) - len(given)}"
     errors = [spread(o.error[n] for o in given if n in o.error) for n in NUMBERS]
-    covered = f"{sum(bool(o.covered) for o in given)} of {len(given)}"
+    told = [[o.covered[n] for o in given if n in o.covered] for n in NUMBERS]
+    covered = " ".join(f"{sum(held)}/{len(held)}" for held in told)
     width = f"{statistics.median(o.half_width or 0.0 for o in given):.2f}" if given else "–"
     lies = sum(abs(o.error["coulomb"]) > LIE for o in good)
     bound = spread((o.bound for o in given if o.bound is not None), 1) if kind in RIGID else "–"

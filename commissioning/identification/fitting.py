@@ -37,6 +37,7 @@ _UNSETTLED, _BETTER = 0.01, 0.7  # held-out residual above which reversals are s
 _SETTLING_PASSES = 2  # of a motion whose model is known
 _FLOOR = 1e-3  # of a row's torque: what a row may miss beside the noise of the resolution
 _NEGATIVE = 0.01  # of the Coulomb friction, at the fastest: negative viscous friction that is noise
+_CLEARLY, _WORTH = 6.0, 3e-3  # times its error; of f: a linear term that is there
 _GOLDEN = 8  # steps to the best shape
 _SHAPES = 11  # first guesses of a shape parameter
 _MOST_WAVES = 150  # of a position-periodic torque along the swing
@@ -188,8 +189,8 @@ class Fitter:
 
     def with_rung(self, fit: Fit, rung: Rung) -> Fit | None:
         """The fit with one more rung at its best shape; None where the record cannot show it."""
-        if rung == "load":
-            return self._checked(self.fit(replace(fit.law, load=True), fit))
+        if rung in ("load", "drag", "drift"):
+            return self._checked(self.fit(_with_term(fit.law, rung), fit))
         motion = self.motion_of(fit)
         if rung == "position":
             shapes = self._pitches(motion, fit)
@@ -209,6 +210,17 @@ class Fitter:
             found = self.fit(_with_shape(fit.law, rung, shape), found)
         return self._checked(found)
 
+    def shows(self, fit: Fit, rung: Rung) -> bool:
+        """Whether a linear term stands clearly above its error, the motion taken as it is."""
+        law = _with_term(fit.law, rung)
+        problem = self._problem(self.motion_of(fit), law, fit.model.dead_time, fit.model.inertia)
+        place = _COULOMB + law.place(rung)
+        size = abs(float(problem.solution[place]))
+        error = float(np.sqrt(problem.jackknife(self._periods_of_rows)[place, place]))
+        reach = self.record.time[-1] - self.record.time[0] if rung == "drift" else self._fast**2
+        f = abs(float(problem.solution[_COULOMB]))
+        return size > _CLEARLY * error and size * float(reach) > _WORTH * f
+
     def _checked(self, fit: Fit) -> Fit | None:
         """None for a fit that is no friction."""
         if not fit.model.inertia > 0 or not fit.coefficients[0] > 0:
@@ -219,7 +231,8 @@ class Fitter:
             return None
         if fit.law.position is not None and np.hypot(*fit.coefficients[-2:]) > fit.coefficients[0]:
             return None
-        if fit.law.load and fit.coefficients[fit.law.load_term] < 0:
+        grows = [rung for rung in fit.law.rungs if rung in ("load", "drag")]
+        if any(fit.coefficients[fit.law.place(rung)] < 0 for rung in grows):
             return None
         return fit
 
@@ -312,6 +325,12 @@ class Fitter:
 def friction_in(law: Law, coefficients: Array) -> Callable[[Cells], Array]:
     """Friction torque in the cells."""
     return lambda cells: np.asarray(law.terms(cells) @ coefficients, np.float64)
+
+
+def _with_term(law: Law, rung: Rung) -> Law:
+    if rung == "load":
+        return replace(law, load=True)
+    return replace(law, drag=True) if rung == "drag" else replace(law, drift=True)
 
 
 def _with_shape(law: Law, rung: Rung, shape: float) -> Law:

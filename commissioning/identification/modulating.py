@@ -37,7 +37,13 @@ SUSPICIOUS = 0.08  # of a sample: reversals so far from zero velocity make up fo
 # more
 _EXPLAINED = 1e-3, 3e-3
 EXPLAINS = 0.03  # of the torque: a model that leaves more says nothing about reversals
+_EXPLAINED_BY_DRIFT = 0.02  # of the torque: what is left more is a change, and no drift
+_NEARLY_EXPLAINED = 5e-3  # of the torque: below, a small term is no make-up for another law
+_LINEAR: tuple[Rung, ...] = ("drift", "drag")
 _REACHED = 1.5  # of the slope that a sigmoid still has at the peak speed
+# what reversals that are late take or give, by their share of a period: a sign that is late is
+# friction in phase with the acceleration
+_LATE_INERTIA, _LATE_VISCOUS, _LATE = 3.0, 3.0, 1.0
 _SHAPE = 0.004  # of f: what a shape parameter that is searched for may take or give
 
 
@@ -61,7 +67,7 @@ class ModulatingEstimate:
     halves, widths : relative difference of f between odd and even periods, wide and narrow windows
     lateness : median distance of the reversals from zero velocity, as a share of a sample
     noise : what the resolution alone would leave, as a share of the torque
-    periods : of the record
+    periods, seconds : of the record
     windows : that were used
     reversals : that were found
     """
@@ -83,6 +89,7 @@ class ModulatingEstimate:
     lateness: float
     noise: float
     periods: float
+    seconds: float
     windows: int
     reversals: int
 
@@ -115,7 +122,13 @@ def estimate(record: Record, *, any_motion: bool = False) -> ModulatingEstimate:
         shares = tuple(float(x) for x in 0.5 * _NARROWER ** np.arange(count))
         fitter = Fitter(record, shares, rests(record))
     rigid = fitter.fit(Law())
-    return _numbers(fitter, _climb(fitter, rigid), rigid)
+    fit = _climb(fitter, rigid)
+    for rung in _LINEAR:  # what the whole record shows, however little it leaves of the torque
+        if fit.held_out > _NEARLY_EXPLAINED or rung in fit.law.rungs:
+            continue
+        if fitter.shows(fit, rung):
+            fit = fitter.with_rung(fit, rung) or fit
+    return _numbers(fitter, fit, rigid)
 
 
 def _numbers(fitter: Fitter, fit: Fit, rigid: Fit) -> ModulatingEstimate:
@@ -130,8 +143,12 @@ def _numbers(fitter: Fitter, fit: Fit, rigid: Fit) -> ModulatingEstimate:
     left = swing * fit.residual  # torque that no term explains, N.m or N
     halves, widths = (abs(a - b) for a, b in (fit.halves, fit.widths))
     model = fit.model
-    shaped = fit.law.soft is not None or fit.law.stribeck is not None
-    share = 5e-4 + 2 * fit.lateness + (_SHAPE if shaped else 0.0)
+    seconds = float(fitter.record.time[-1] - fitter.record.time[0])
+    shaped = fit.law.soft is not None or fit.law.stribeck is not None or fit.law.load
+    late = fit.lateness * fitter.step / fitter.period  # reversals off zero velocity, of a period
+    if not fit.held_out < EXPLAINS:  # they make up for a law that is another
+        late = fit.lateness
+    share = 5e-4 + 2 * late + (_SHAPE if shaped else 0.0)
     beyond = 0.0
     if fit.law.soft is not None:  # a level that the speed does not reach is extrapolated
         beyond = min(_REACHED / float(np.cosh(min(peak / fit.law.soft, 50.0))) ** 2, 0.25)
@@ -142,17 +159,17 @@ def _numbers(fitter: Fitter, fit: Fit, rigid: Fit) -> ModulatingEstimate:
         viscous=Estimate.around(
             model.viscous,
             float(errors[1]),
-            2e-3 * abs(model.viscous) + (left + 2 * beyond * f) / peak,
+            2e-3 * abs(model.viscous) + (left + 2 * (beyond + _LATE_VISCOUS * late) * f) / peak,
         ),
         inertia=Estimate.around(
             model.inertia,
             float(errors[0]),
-            model.inertia * (1e-3 + fit.residual),
+            model.inertia * (1e-3 + fit.residual + _LATE_INERTIA * late),
         ),
         dead_time=Estimate.around(
             max(model.dead_time, 0.0),
             float(errors[-1]),
-            0.01 * fitter.step + 0.02 * model.dead_time,
+            0.01 * fitter.step + 0.02 * model.dead_time + _LATE * fit.lateness * fitter.step,
         ),
         fit=fit,
         low_speed=low,
@@ -165,7 +182,8 @@ def _numbers(fitter: Fitter, fit: Fit, rigid: Fit) -> ModulatingEstimate:
         widths=widths / abs(f) if f else float("inf"),
         lateness=fit.lateness,
         noise=fitter.noise(fit),
-        periods=float(fitter.record.time[-1] - fitter.record.time[0]) / fitter.period,
+        periods=seconds / fitter.period,
+        seconds=seconds,
         windows=fitter.windows,
         reversals=fitter.count,
     )
@@ -197,6 +215,7 @@ def _climb(fitter: Fitter, rigid: Fit) -> Fit:
             found
             for rung in _beside(best.law)
             if (found := fitter.with_rung(best, rung)) is not None
+            and (not found.law.drift or found.held_out < _EXPLAINED_BY_DRIFT)
         ]
         if not richer:
             return best
@@ -215,6 +234,10 @@ def _beside(law: Law) -> tuple[Rung, ...]:
         rungs += ["stribeck", "soft"]
     if not law.load:
         rungs.append("load")
+    if not law.drag:
+        rungs.append("drag")
+    if not law.drift:
+        rungs.append("drift")
     if law.position is None:
         rungs.append("position")
     return tuple(rungs)

@@ -41,6 +41,7 @@ _DWELL, _MUCH_DWELL = 0.02, 0.15  # of the time
 _TORQUE_OFF = 0.08  # of the command
 _CONDITION = 200.0
 _FEW_PERIODS = 6.0
+_MUCH_DRIFT = 0.1  # of the friction, over the record
 _AGREE = 0.03  # of f
 
 
@@ -194,12 +195,29 @@ def _of_law(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
             "with the sign; compensation by the sign alone does too much at low speed",
         )
     if law.load:
-        c = float(found.coefficients[law.load_term])
+        c = float(found.coefficients[law.place("load")])
         add(
             "law.load",
             Weight.NOTE,
             f"friction grows with the torque, by {100 * c:.1f} % of it: the level is that without "
             "load",
+        )
+    if law.drag:
+        c = float(found.coefficients[law.place("drag")])
+        add(
+            "law.drag",
+            Weight.NOTE,
+            f"drag: a torque that grows with the square of the speed, {c:.3g} {e}·s²/{p}² or "
+            f"{c * found.peak_speed**2:.3g} {e} at the fastest; the friction is that without it",
+        )
+    if law.drift:
+        rate = float(found.coefficients[law.place("drift")]) / found.coulomb.value
+        changed = abs(rate) * found.seconds
+        add(
+            "law.drift",
+            Weight.DOUBT if changed > _MUCH_DRIFT else Weight.NOTE,
+            f"friction changed by {100 * rate:+.2f} % a second while it was measured, "
+            f"{100 * changed:.1f} % in all: the number is the mean over the record",
         )
     if law.position is not None:
         size = float(np.hypot(*found.coefficients[-2:]))

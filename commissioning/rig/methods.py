@@ -148,6 +148,8 @@ def _why(found: ModulatingEstimate) -> str:
         names = {
             "stribeck": "a Stribeck effect", "soft": "soft friction",
             "load": "friction that grows with the torque",
+            "drag": "a torque that grows with the square of the speed",
+            "drift": "friction that changes while it is measured",
             "position": "a position-dependent torque",
         }  # fmt: skip
         return " and ".join(names[rung] for rung in found.law.rungs)

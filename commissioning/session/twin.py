@@ -307,6 +307,11 @@ def _by_law(
         options |= _stribeck(terms.pop(0), law.stribeck_speed, coulomb, effort)
     if "load" in law.terms and terms:
         options["load_friction"] = max(terms.pop(0), 0.0)
+    if "drag" in law.terms and terms:
+        options["drag"] = max(terms.pop(0), 0.0) / effort**3
+    if "drift" in law.terms and terms:
+        terms.pop(0)
+        said["drift"] = "drift of friction: left out"
     if law.pitch is not None and len(terms) >= 2:
         options["cogging"] = hypot(*terms[:2]) / effort
         options["pitch"] = law.pitch * effort

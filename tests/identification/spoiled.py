@@ -105,7 +105,7 @@ SPOILED: dict[str, tuple[Callable[[Record], Record], str, str]] = {
             command=r.command
             + 0.02 * (r.time / r.time[-1] - 0.5) * np.sign(np.gradient(r.position, r.time)),
         ),
-        "usable", "of the torque is unexplained",
+        "usable", "% a second while it was measured, 19",
     ),
     "time stamps wrong by 1 ms rms": (_stamps, "rejected", "of the torque unexplained"),
     "lost counts, twice": (

@@ -16,6 +16,7 @@ __all__ = ["approach"]
 _TOLERANCE = 0.02  # of the travel
 _SPEED = 0.2  # of the speed limit
 _TIME = 20.0  # s
+_CREEPS = 0.1  # of the speed that is wanted
 _STILL = 2.0  # s without any motion
 
 
@@ -55,7 +56,8 @@ def approach(context: Context, goal: float, known: FirstLook) -> Plan[Sample]:
                 "before: does something block it?",
                 code="measurement.approach",
             )
-        friction = 1.1 * known.breakaway if at_rest else 0.9 * known.coulomb
+        creeps = at_rest or abs(speed) < _CREEPS * abs(wanted)  # winds up before it breaks away
+        friction = 1.1 * known.breakaway if creeps else 0.9 * known.coulomb
         push = gain * (wanted - speed) + (friction if error > 0 else -friction)
         torque = known.offset + max(-authority, min(authority, push))
         previous = sample

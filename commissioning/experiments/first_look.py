@@ -24,6 +24,15 @@ _HARDER = 1.05  # the second pair of pushes over the first, at least
 _PUSH_TRAVEL = 0.05  # share of the travel that a push may take
 _PUSH_SPEED = 0.3  # share of the speed limit
 _PUSH_TIME = 0.8  # s
+_GOES_ON = 0.08  # s of constant torque in which an axis that broke away goes on …
+_KEEPS_ON = 0.5  # … in their second half at least so far, of the first
+_FAR, _FAST = 0.02, 0.15  # of travel and speed, where it need not be awaited
+_PLAUSIBLE = 0.4, 4.0  # of 2·s/t²: accelerations by a parabola that are believed
+# more torque at which it is away than at which it began to move, as a share: it wound up
+_WINDING, _STEPS_TO_GO = 0.15, 8  # and steps of the ramp
+_LEAST_SHARE = 0.7  # of the breakaway torque: friction in motion that impulses are believed
+_TIMES = 1.6  # by which the inertia by momentum and by work may differ
+_SPEED = 1e-9  # rad/s or m/s
 _FEWEST = 5  # samples for a parabola
 STEPS = 10  # pushes that show a dead time; each turns the axis around once
 _STEP = 2.0  # torque of them, in breakaway torques
@@ -118,6 +127,8 @@ def torque_steps(context: Context, known: FirstLook) -> Plan[None]:
 
 def _evaluate(context: Context, breakaway: float, offset: float, pushes: list[Push]) -> FirstLook:
     """From rest to rest the momentum is zero: impulse = f·duration + B·distance, without J."""
+    # one that only wound the axis up says nothing
+    pushes = [p for p in pushes if p.speed > _SPEED and p.coast_distance > 0] or pushes
     rows = np.array([(p.duration, p.distance) for p in pushes])
     impulses = np.array([p.impulse for p in pushes])
     scale = np.abs(rows).max(axis=0)
@@ -125,7 +136,10 @@ def _evaluate(context: Context, breakaway: float, offset: float, pushes: list[Pu
     coulomb, viscous = (float(value) for value in solution / scale)
     if viscous < 0:
         coulomb, viscous = float(impulses.sum() / rows[:, 0].sum()), 0.0
-    if not 0 < coulomb <= 1.3 * breakaway:
+    if not _LEAST_SHARE * breakaway < coulomb <= 1.3 * breakaway:
+        # an axis that springs back is not at rest for long: by work, which does not ask when
+        coulomb, viscous = min(*(_by_work(p) for p in pushes), 1.3 * breakaway), 0.0
+    if not coulomb > 0:
         coulomb = breakaway  # the friction in motion cannot be told from these pushes
     inertia = float(np.median([_inertia(p, coulomb, viscous) for p in pushes]))
     if not inertia > 0:
@@ -139,32 +153,50 @@ def _evaluate(context: Context, breakaway: float, offset: float, pushes: list[Pu
     return FirstLook(breakaway, offset, coulomb, viscous, inertia, dead_time)
 
 
+def _by_work(push: Push) -> float:
+    """Friction that takes from rest to rest what the torque gave while it pushed, N.m or N."""
+    return push.torque * (push.distance - push.coast_distance) / max(push.distance, 1e-300)
+
+
 def _inertia(push: Push, coulomb: float, viscous: float) -> float:
     """Momentum at the end of the push = what friction takes while coasting, less the torque's tail.
 
-    J·v = f·t + B·y − u·dead_time
+    J·v = f·t + B·y − u·dead_time; or, where the axis springs back and so seems to coast for longer,
+    by the work: J·v²/2 = f·y − u·v·dead_time.
     """
     braking = coulomb * push.coast_duration + viscous * push.coast_distance
-    return (braking - push.torque * push.dead_time) / push.speed
+    found = (braking - push.torque * push.dead_time) / push.speed
+    taken, tail = coulomb * push.coast_distance, push.torque * push.speed * push.dead_time
+    by_work = 2 * (taken - tail) / push.speed**2
+    return by_work if taken > 2 * tail and found > _TIMES * by_work else found
 
 
 def _ramp(context: Context, direction: int) -> Plan[float]:
     """Raise the torque until the axis moves away; return the torque at which that began.
 
-    An elastic axis winds up before it breaks away, so the first counts of motion do not count.
+    An axis that winds up – bristles, a spring, a load behind one – moves, too, before it breaks
+    away: the first counts of motion do not count, nor does motion that ends while the torque stays.
+    From there it must go as far again.
     """
     sample = yield context.rest
     begin, torque = sample.position, context.rest
     limit = context.torque
     step = direction * limit / RAMP_TIME * context.cycle
-    began = context.rest
+    began, base, away = context.rest, begin, _AWAY * context.motion
     while abs(torque) <= limit or torque * direction < 0:
         sample = yield torque
         moved = (sample.position - begin) * direction
-        if moved < _WOUND_UP * context.motion:
+        further = (sample.position - base) * direction
+        if further < _WOUND_UP / _AWAY * away:
             began = sample.command
-        elif moved > _AWAY * context.motion:
-            return began
+        elif further > away:
+            if (yield from _goes_on(context, torque, direction, sample)):
+                wound = abs(torque - began) > max(
+                    _WINDING * abs(began - context.rest), _STEPS_TO_GO * abs(step)
+                )
+                return torque if wound else began
+            sample = yield torque
+            base, away = sample.position, max(away, (sample.position - begin) * direction)
         if moved < -context.motion:
             raise MeasurementRejected(
                 f"the axis moved {abs(moved):.3g} {context.position_unit} against a torque of "
@@ -180,6 +212,24 @@ def _ramp(context: Context, direction: int) -> Plan[float]:
         code="measurement.no-motion",
         hint="raise --max-torque if the machine allows it",
     )
+
+
+def _goes_on(context: Context, torque: float, direction: int, first: Sample) -> Plan[bool]:
+    """Whether motion goes on while the torque stays, or was the axis winding up.
+
+    Ends before it becomes fast or goes far.
+    """
+    time, half = max(_GOES_ON, _FEWEST * context.cycle), None
+    sample = first
+    while sample.time - first.time < time:
+        before, sample = sample, (yield torque)
+        moved = (sample.position - first.position) * direction
+        speed = (sample.position - before.position) * direction / (sample.time - before.time)
+        if moved > _FAR * context.travel or speed > _FAST * context.speed:
+            return True
+        if half is None and sample.time - first.time >= time / 2:
+            half = moved
+    return moved - (half or 0.0) > max(_KEEPS_ON * (half or 0.0), 0.5 * context.motion)
 
 
 def push(context: Context, offset: float, torque: float) -> Plan[Push]:
@@ -207,6 +257,9 @@ def push(context: Context, offset: float, torque: float) -> Plan[Push]:
     if len(up) < _FEWEST:
         up = samples[max(0, switched - _FEWEST) : switched]
     acceleration, start = _parabola(up, direction)
+    mean, began = _mean_acceleration(begin, samples[0].sent, samples[switched - 1], direction)
+    if not _PLAUSIBLE[0] * mean < acceleration < _PLAUSIBLE[1] * mean:
+        acceleration, start = mean, began
     if not acceleration > 0:
         raise MeasurementRejected(
             f"a push of {torque:.4g} {context.effort_unit} gave no acceleration along it "
@@ -257,6 +310,14 @@ def _parabola(samples: list[Sample], direction: int) -> tuple[float, float]:
     c2, c1, _ = np.polyfit((t - centre) / width, y, 2)
     vertex = centre - c1 / (2 * c2) * width if c2 else centre
     return float(2 * c2 / width**2), float(vertex)
+
+
+def _mean_acceleration(
+    begin: Sample, sent: float, end: Sample, direction: int
+) -> tuple[float, float]:
+    """Acceleration by 2·s/t² alone, and when it began: with the command."""
+    time = max(end.time - sent, 1e-9)
+    return 2 * (end.position - begin.position) * direction / time**2, sent
 
 
 def _end_speed(samples: list[Sample], direction: int) -> float:

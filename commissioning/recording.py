@@ -28,6 +28,7 @@ _MOST_ROWS = 2_000_000
 _MOST_CELLS = 10_000_000
 _LONGEST_GAP = 2000  # usual steps
 _SEARCHED = 200  # lines for the header
+_FEWEST = 50  # samples
 
 # unit: (what, factor to SI, whether linear; None: either)
 UNITS: dict[str, tuple[str, float, bool | None]] = {
@@ -89,6 +90,9 @@ class Recording:
     position, velocity : (n,) or None; rad or m, rad/s or m/s
     sent : (n,) s, when each torque was commanded; equal to `time` where the file does not say
     linear : m and N instead of rad and N.m
+    analysed : (n,) whether the numbers of the run that this is an export of are of the sample; None
+        where the file does not say
+    lateness : (n,) s, of each exchange, of an export
     """
 
     time: Array
@@ -97,6 +101,8 @@ class Recording:
     velocity: Array | None
     sent: Array
     linear: bool
+    analysed: NDArray[np.bool_] | None = None
+    lateness: Array | None = None
 
 
 def column_of(text: str | None, quantity: str, scalars: dict[str, float]) -> Column | None:
@@ -289,8 +295,18 @@ def read(table: Table, named: dict[str, Column | None]) -> Recording:
     _check(table, time, torque, found["position"], found["velocity"])
     return Recording(
         time, torque, found["position"], found["velocity"], _sent(table, named, time),
-        any(linear.values()),
+        any(linear.values()), _analysed(table),
+        table.columns.get("lateness_s"),
     )  # fmt: skip
+
+
+def _analysed(table: Table) -> NDArray[np.bool_] | None:
+    """Which samples our own exports say that the run was analysed by."""
+    told = table.columns.get("analysed")
+    if told is None or "sent_s" not in table.columns:
+        return None
+    mask = np.asarray(told == 1, bool)
+    return mask if np.count_nonzero(mask) >= _FEWEST else None
 
 
 def _sent(table: Table, named: dict[str, Column | None], time: Array) -> Array:
@@ -357,7 +373,7 @@ def _check(
     lengths = {len(v) for v in (time, torque, position, velocity) if v is not None}
     if len(lengths) > 1:
         raise UsageError(f"{path}: its columns have different lengths: {sorted(lengths)}")
-    if len(time) < 50:
+    if len(time) < _FEWEST:
         raise UsageError(f"{path}: has {len(time)} samples; a measurement needs hundreds")
     back = np.flatnonzero(np.diff(time) <= 0)
     if len(back):

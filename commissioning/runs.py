@@ -170,11 +170,17 @@ class RunFolder:
             replace(target / "journal.json", json.dumps(history_tree(history), indent=1).encode())
             samples = self.samples()
             if samples is not None and len(samples):
-                write_csv(target / "samples.csv", samples, result.units)
-                shown = result.experiment.cycles if result.experiment else ()
-                if shown:
-                    span = shown[0].begin, shown[-1].end
-                    write_csv(target / "oscillations.csv", samples, result.units, span)
+                watched = result.experiment
+                analysed = watched.analysed if watched else None
+                write_csv(target / "samples.csv", samples, result.units, analysed=analysed)
+                if watched and watched.cycles:
+                    begin, end = watched.cycles[0].begin, watched.cycles[-1].end
+                    if analysed:
+                        begin, end = min(begin, analysed[0]), max(end, analysed[1])
+                    begin -= watched.cycles[0].period  # commands before it act in it, too
+                    write_csv(
+                        target / "oscillations.csv", samples, result.units, (begin, end), analysed
+                    )
             changes = self._dcf(history)
             if changes:
                 replace(target / "changes.dcf", changes.encode())

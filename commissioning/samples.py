@@ -154,9 +154,16 @@ def _check_array(packed: zipfile.ZipFile, item: zipfile.ZipInfo) -> None:
 
 
 def write_csv(
-    path: Path, samples: Samples, units: Units, span: tuple[float, float] | None = None
+    path: Path,
+    samples: Samples,
+    units: Units,
+    span: tuple[float, float] | None = None,
+    analysed: tuple[float, float] | None = None,
 ) -> None:
-    """All samples, or those between two instants (s) of the run: what `analyze` reads best."""
+    """All samples, or those between two instants (s) of the run.
+
+    `analysed` : what the numbers are of, s; a column says it, so that `analyze` reads the same
+    """
     linear = units.position == "m"
     position, effort = ("m", "N") if linear else ("rad", "Nm")
     kind = "force" if linear else "torque"
@@ -164,10 +171,14 @@ def write_csv(
         "time_s", f"position_{position}", f"{kind}_{effort}", f"command_{effort}", "sent_s",
         "lateness_s", "missed_cycles",
     ]  # fmt: skip
+    since = samples.time - (samples.sent[0] if len(samples) else 0.0)
+    columns = [samples[name] for name in _COLUMNS]
+    if analysed is not None:
+        header.append("analysed")
+        columns.append(((since >= analysed[0]) & (since <= analysed[1])).astype(int))
     file = io.StringIO(newline="")
     writer = csv.writer(file)
     writer.writerow(header)
-    since = samples.time - (samples.sent[0] if len(samples) else 0.0)
     kept = slice(None) if span is None else (since >= span[0]) & (since <= span[1])
-    writer.writerows(zip(*(samples[name][kept].tolist() for name in _COLUMNS), strict=True))
+    writer.writerows(zip(*(column[kept].tolist() for column in columns), strict=True))
     replace(path, file.getvalue().encode())

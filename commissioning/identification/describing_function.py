@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from commissioning.identification.errors import NotShown
+
 __all__ = ["equivalent", "inverse_locus", "relay"]
 
 Complex = NDArray[np.complex128]
@@ -63,4 +65,4 @@ def inverse_locus(
 
 def _check(half_swing: NDArray[Any], hysteresis: float) -> None:
     if np.any(half_swing < hysteresis) or np.any(half_swing <= 0):
-        raise ValueError("half-swing is below the hysteresis: such a relay never switches")
+        raise NotShown("half-swing is below the hysteresis: such a relay never switches")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from commissioning.identification.errors import NotShown
 from commissioning.identification.friction_laws import Law, Rung
 from commissioning.identification.motion import MANY, Cells, Model, Motion, Turning
 from commissioning.identification.record import Record, reversals
@@ -92,7 +93,7 @@ class Fitter:
     ) -> None:
         instants, begins = reversals(record)
         if len(instants) < _FEWEST_REVERSALS:
-            raise ValueError(
+            raise NotShown(
                 f"the record has {len(instants)} velocity reversals; {_FEWEST_REVERSALS} are needed"
             )
         self.record = record
@@ -105,7 +106,7 @@ class Fitter:
             time, shares, self.period, self.step, np.zeros((0, 2)) if at_rest is None else at_rest
         )
         if len(self._windows) < _FEWEST_WINDOWS:
-            raise ValueError(
+            raise NotShown(
                 f"the record has room for {len(self._windows)} windows of half a period only"
             )
         h = np.diff(time)
@@ -115,7 +116,7 @@ class Fitter:
         self._ones = self._windows @ (0.5 * (h[1:] + h[:-1]))
         swing = record.command - record.command.mean()
         if not np.ptp(record.command):
-            raise ValueError("the torque is constant: it excites nothing")
+            raise NotShown("the torque is constant: it excites nothing")
         self._typical = float(np.abs(swing).mean()) * MEAN_WEIGHT * self._windows.width
         speeds = np.abs(np.diff(record.position) / h)
         self._fast = float(np.quantile(speeds, 0.99))

@@ -17,6 +17,7 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
+from commissioning.identification.errors import NotShown
 from commissioning.identification.estimate import Estimate
 from commissioning.identification.record import Kinematics, Record
 from commissioning.identification.signals import Steps
@@ -155,7 +156,7 @@ def balance(first: Phasors, second: Phasors, harmonic: int = 0) -> Balance:
     for phasor in (first, second):
         size = float(np.mean(np.abs(phasor.position[:, harmonic])))
         if not size > 0:
-            raise ValueError("an oscillation has no amplitude")
+            raise NotShown("an oscillation has no amplitude")
         rows.append(np.column_stack((phasor.torque[:, harmonic], -phasor.sign[:, harmonic])) / size)
         right.append(phasor.position[:, harmonic] / size)
     solution, *_ = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)
@@ -171,7 +172,7 @@ def lock_in(first: Phasors, second: Phasors, resolution: float, cycle: float) ->
     for number, (phasor, lost) in enumerate(zip(pair, rejected, strict=True), 1):
         periods = len(phasor.mean_sign)
         if periods < _FEWEST or lost > _MOST_REJECTED * (periods + lost):
-            raise ValueError(
+            raise NotShown(
                 f"oscillation {number} has {periods} sound periods of {periods + lost}; the axis "
                 "does not settle, or the link is too irregular"
             )

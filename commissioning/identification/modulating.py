@@ -108,12 +108,15 @@ class ModulatingEstimate:
         return curve(self.law, self.coefficients, self.viscous.value, speed)
 
 
-def estimate(record: Record, *, any_motion: bool = False) -> ModulatingEstimate:
-    """Fit the record; raises ValueError when it is too short.
+def estimate(
+    record: Record, *, any_motion: bool = False, ladder: bool = True
+) -> ModulatingEstimate:
+    """Fit the record; raises NotShown when it is too short.
 
     Two amplitudes are needed in the record to tell Coulomb from viscous friction. A richer friction
     law is looked for where Coulomb friction leaves something unexplained. `any_motion`: the record
-    is no oscillation; windows of many widths are used, none in which the axis rests.
+    is no oscillation; windows of many widths are used, none in which the axis rests. Without
+    `ladder` friction is Coulomb and viscous, whatever that leaves.
     """
     fitter = Fitter(record)
     if any_motion:
@@ -122,8 +125,10 @@ def estimate(record: Record, *, any_motion: bool = False) -> ModulatingEstimate:
         shares = tuple(float(x) for x in 0.5 * _NARROWER ** np.arange(count))
         fitter = Fitter(record, shares, rests(record))
     rigid = fitter.fit(Law())
-    fit = _climb(fitter, rigid)
-    for rung in _LINEAR:  # what the whole record shows, however little it leaves of the torque
+    fit = _climb(fitter, rigid) if ladder else rigid
+    for rung in (
+        _LINEAR if ladder else ()
+    ):  # what the whole record shows, however little it leaves of the torque
         if fit.held_out > _NEARLY_EXPLAINED or rung in fit.law.rungs:
             continue
         if fitter.shows(fit, rung):

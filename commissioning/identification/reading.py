@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from commissioning.identification.critical_point import CriticalPoint, of_plant
+from commissioning.identification.errors import NotShown
 from commissioning.identification.estimate import Estimate
 from commissioning.identification.fitting import friction_in
 from commissioning.identification.lock_in import LockIn, Phasors
@@ -48,7 +49,7 @@ class Reader:
     def __init__(self, record: Record, found: ModulatingEstimate, period: float) -> None:
         instants, begins = reversals(record)
         if len(instants) < 2:
-            raise ValueError(f"the oscillation has {len(instants)} velocity reversals")
+            raise NotShown(f"the oscillation has {len(instants)} velocity reversals")
         self._found = found
         self._model = found.fit.model
         self._friction = friction_in(found.fit.law, found.fit.coefficients)

@@ -10,10 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from commissioning.identification.limit_cycle import reversal
 
-__all__ = ["Kinematics", "Record", "kinematics", "rests", "reversals", "unfiltered"]
+__all__ = [
+    "Kinematics", "Record", "kinematics", "resolution_of", "rests", "reversals", "trusted",
+    "unfiltered",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 
+_STALL = 1.5  # cycles
+_WHOLE = 0.05  # of a count
 _TURN_COUNTS = 4  # a reversal counts when the axis then moves by more than this many counts
 _FEW_SAMPLES = 30  # in half a period: below, a spline finds reversals better than parabolas
 _STILL, _STILL_SAMPLES = 0.02, 8  # s and samples within which an axis that moves leaves its place
@@ -61,6 +66,32 @@ class Record:
         """Positions of begin ≤ time ≤ end (s), with all commands."""
         cut = (self.time >= begin) & (self.time <= end)
         return Record(self.time[cut], self.position[cut], self.sent, self.command, self.resolution)
+
+
+def trusted(lateness: Array, cycle: float) -> NDArray[np.bool_]:
+    """Samples whose stamps are right, (n,).
+
+    A host that stalls within an exchange stamps it wrongly; the next one's lateness shows it.
+
+    Parameters
+    ----------
+    lateness : (n,) s, of each exchange
+    cycle : s
+    """
+    return np.append(lateness[1:], lateness[-1:]) <= _STALL * cycle
+
+
+def resolution_of(position: Array) -> float:
+    """Of positions that are whole counts the count, else about the smallest step; rad or m."""
+    steps = np.abs(np.diff(position))
+    moving = steps[steps > 1e-9 * float(np.ptp(position))]
+    if not len(moving):
+        return 0.0
+    least = float(moving.min())
+    counts = moving / least
+    if np.all(np.abs(counts - np.round(counts)) < _WHOLE * np.maximum(1.0, 1e-3 * counts)):
+        return least
+    return float(np.quantile(moving, 0.01))
 
 
 def unfiltered(record: Record, corner: float) -> Record:

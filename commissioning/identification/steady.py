@@ -14,19 +14,24 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from commissioning.identification.errors import NotShown
 from commissioning.identification.estimate import Estimate
 
-__all__ = ["SteadyFit", "SteadyPoint", "fit", "plateaus"]
+__all__ = ["SteadyFit", "SteadyPoint", "at_speed", "fit", "plateaus"]
 
 Array = NDArray[np.float64]
 
 _FEWEST_POINTS = 8
 _LEAST_SAMPLES = 20  # of a plateau
+_REST = 1e-3  # of the largest speed of a recording: below, the axis rests
+_IN_NOISE = 0.1  # of the noise of the speed: a mean that is no speed
 _MEDIAN = 15  # samples of the running median
 _ONE_SPEED = 0.15  # of the speed: a record that wavers by less is one at one speed
 _STEP = 0.02  # of the largest speed: a change of speed that begins a new plateau
 _LEAST_TORQUE = 0.05  # of the largest: a smaller one weighs no more
 _BETTER = 0.85
+_CLEARLY = 4.0  # times its error: a Stribeck term that is there
+_SYSTEMATIC = 1e-3  # of each number: what a speed that is not quite constant makes
 _SHAPES = 40
 
 
@@ -78,13 +83,37 @@ class SteadyFit:
         return np.asarray(level + self.viscous.value * speed, np.float64)
 
 
-def plateaus(velocity: Array, torque: Array) -> list[SteadyPoint]:
+def at_speed(velocity: Array) -> NDArray[np.bool_]:
+    """Whether the axis moves at each sample, (n,).
+
+    It rests where for a while the speed stays below a small share of the largest.
+    """
+    smooth = _running_median(np.abs(velocity), _MEDIAN)
+    result: NDArray[np.bool_] = smooth > _REST * float(np.quantile(np.abs(velocity), 0.99))
+    return result
+
+
+def plateaus(
+    velocity: Array, torque: Array, moves: NDArray[np.bool_] | None = None
+) -> list[SteadyPoint]:
     """Stretches of constant speed of one record.
 
     Parameters
     ----------
     velocity, torque : (n,) rad/s or m/s, N.m or N
+    moves : (n,) where the axis moves; `at_speed` where it is not given
     """
+    moves = at_speed(velocity) if moves is None else moves
+    change = np.flatnonzero(np.diff(np.concatenate(([0], moves.astype(int), [0]))))
+    points = []
+    for begin, end in zip(change[::2], change[1::2], strict=True):
+        if end - begin >= _LEAST_SAMPLES:
+            points += _of_motion(velocity[begin:end], torque[begin:end])
+    return points
+
+
+def _of_motion(velocity: Array, torque: Array) -> list[SteadyPoint]:
+    """Stretches of constant speed of a motion without rest."""
     smooth = _running_median(velocity, _MEDIAN)
     noise = 1.48 * float(np.median(np.abs(velocity - smooth)))
     step = max(_STEP * float(np.abs(velocity).max()), 2 * noise)
@@ -104,7 +133,9 @@ def plateaus(velocity: Array, torque: Array) -> list[SteadyPoint]:
         edge = max((end - begin) // 10, _MEDIAN // 2) if len(borders) > 1 else 0
         part = slice(begin + edge, end - edge)
         v, u = velocity[part], torque[part]
-        if len(v) < _LEAST_SAMPLES or abs(v.mean()) <= noise / len(v) ** 0.5:
+        if len(v) < _LEAST_SAMPLES:
+            continue
+        if abs(v.mean()) <= noise * max(len(v) ** -0.5, _IN_NOISE):
             continue
         steadiness = abs(float(np.mean(v[len(v) // 2 :]) - np.mean(v[: len(v) // 2])))
         if steadiness > max(step, _ONE_SPEED * abs(v.mean())):
@@ -123,17 +154,17 @@ def _running_median(values: Array, width: int) -> Array:
 def fit(points: list[SteadyPoint]) -> SteadyFit:
     """Fit the curve; raises ValueError where the points cannot show it."""
     if len(points) < _FEWEST_POINTS:
-        raise ValueError(f"{len(points)} constant speeds; {_FEWEST_POINTS} are needed")
+        raise NotShown(f"{len(points)} constant speeds; {_FEWEST_POINTS} are needed")
     ordered = sorted(points, key=lambda point: point.speed)
     speed = np.array([p.speed for p in ordered])
     torque = np.array([p.torque for p in ordered])
     if not (np.any(speed > 0) and np.any(speed < 0)):
-        raise ValueError(
+        raise NotShown(
             "all speeds have one direction: friction cannot be told from the offset; record the "
             "other, too"
         )
     if np.corrcoef(np.sign(speed), torque)[0, 1] < 0:
-        raise ValueError(
+        raise NotShown(
             "the torque acts against the motion: the sign of torque or velocity is wrong"
         )
     order = np.argsort(np.abs(speed))
@@ -146,17 +177,20 @@ def fit(points: list[SteadyPoint]) -> SteadyFit:
     costs = [_held_out(speed, torque, odd, float(shape)) for shape in shapes]
     best = int(np.argmin(costs))
     shape = float(shapes[best]) if costs[best] < _BETTER * plain else None
-    if shape is not None and _solve(speed, torque, shape)[0][3] < 0:
-        shape = None
+    if shape is not None:
+        levels, errors_of, _ = _solve(speed, torque, shape)
+        if levels[3] < _CLEARLY * errors_of[3]:
+            shape = None
     solution, errors, rms = _solve(speed, torque, shape)
     if not solution[0] > 0:
-        raise ValueError(
+        raise NotShown(
             f"the fit gives a Coulomb friction of {solution[0]:.3g}: these points are no friction "
             "curve"
         )
     names = {}
     for n, name in enumerate(("coulomb", "viscous", "offset")):
-        names[name] = Estimate.around(float(solution[n]), float(errors[n]), 0.0)
+        size = abs(float(solution[n]))
+        names[name] = Estimate.around(float(solution[n]), float(errors[n]), _SYSTEMATIC * size)
     return SteadyFit(
         **names,
         stribeck_level=float(solution[3]) if shape is not None else 0.0,

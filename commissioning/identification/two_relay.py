@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import hypot, sqrt
 
+from commissioning.identification.errors import NotShown
 from commissioning.identification.estimate import Estimate
 from commissioning.identification.limit_cycle import LimitCycle
 
@@ -48,9 +49,9 @@ def solve(d1: float, eps1: float, a1: float, d2: float, eps2: float, a2: float) 
     a1, a2 : half-swings of the position, rad or m; different from each other
     """
     if a1 == a2:
-        raise ValueError("both limit cycles have the same half-swing: they tell nothing apart")
+        raise NotShown("both limit cycles have the same half-swing: they tell nothing apart")
     if not (0 <= eps1 <= a1 and 0 <= eps2 <= a2):
-        raise ValueError("a hysteresis lies outside 0…half-swing: such a relay never switches")
+        raise NotShown("a hysteresis lies outside 0…half-swing: such a relay never switches")
     f_re = (a1 / a2 * d2 * eps2 - a2 / a1 * d1 * eps1) / (a1 - a2)
     f_im = (a1 / a2 * d2 * sqrt(a2**2 - eps2**2) - a2 / a1 * d1 * sqrt(a1**2 - eps1**2)) / (a1 - a2)
     return complex(f_re, f_im)

@@ -40,7 +40,7 @@ _COARSE, _TOO_COARSE = 150, 30  # counts of half-swing
 _DWELL, _MUCH_DWELL = 0.02, 0.15  # of the time
 _TORQUE_OFF = 0.08  # of the command
 _CONDITION = 200.0
-_FEW_PERIODS = 6.0
+_FEW_PERIODS, _WHOLE = 6.0, 0.1  # what is cut off at both ends is no period less
 _MUCH_DRIFT = 0.1  # of the friction, over the record
 _AGREE = 0.03  # of f
 
@@ -151,7 +151,7 @@ def _of_record(found: ModulatingEstimate) -> list[Reason]:
             "the record hardly tells Coulomb from viscous friction (condition "
             f"{found.condition:.0f}): two oscillations of clearly different torque are needed",
         )
-    if found.periods < _FEW_PERIODS:
+    if found.periods < _FEW_PERIODS - _WHOLE:
         add(
             "periods.few",
             Weight.DOUBT,

@@ -18,6 +18,7 @@ from commissioning.experiments.plan import Plan
 from commissioning.experiments.relay import Switching
 from commissioning.experiments.two_relay import Solver, TwoRelay, two_relay
 from commissioning.identification.critical_point import CriticalPoint
+from commissioning.identification.errors import words_of
 from commissioning.identification.lock_in import LockIn, Phasors, lock_in, phasors
 from commissioning.identification.modulating import (
     EXPLAINS,
@@ -64,7 +65,11 @@ def repeated(rig: Rig) -> list[Measured]:
     for _ in range(rig.options.repeat):
         found.append(_once(method, ready))
         ready = found[-1].ready
-    points(found[-1], move=rig.options.points)
+    try:
+        points(found[-1], move=rig.options.points)
+    except (ValueError, ArithmeticError) as error:
+        why = f"the plant at −180° and −135° is not known: {words_of(error)}"
+        found[-1].reasons.append(Reason("point.not-known", Weight.NOTE, why))
     return found
 
 
@@ -72,7 +77,9 @@ def _once(method: Method, ready: Ready) -> Measured:
     try:
         measured = method.run(ready)
     except (ValueError, ArithmeticError) as error:  # identification knows records, not axes
-        raise MeasurementRejected(f"{method.name}: {error}", code="measurement.method") from None
+        raise MeasurementRejected(
+            f"{method.name}: {words_of(error)}", code="measurement.method"
+        ) from None
     value, d1 = measured.found.coulomb.value, measured.ready.design.d1
     if not 0 < value < d1:
         e = ready.units.effort
@@ -131,7 +138,11 @@ def _auto(ready: Ready) -> Measured:
         exact, second = _balance(record, more, ready)
     except ValueError as error:
         measured.reasons.append(
-            Reason("balance.none", Weight.DOUBT, f"no exact balance to compare with: {error}")
+            Reason(
+                "balance.none",
+                Weight.DOUBT,
+                f"no exact balance to compare with: {words_of(error)}",
+            )
         )
         return measured
     measured.by[MethodName.LOCK_IN] = exact
@@ -319,7 +330,8 @@ def _all(ready: Ready) -> Measured:
         try:
             other = method.run(measured.ready)
         except (MeasurementRejected, ValueError) as error:
-            measured.reasons.append(Reason("method.failed", Weight.NOTE, f"{method.name}: {error}"))
+            why = str(error) if isinstance(error, MeasurementRejected) else words_of(error)
+            measured.reasons.append(Reason("method.failed", Weight.NOTE, f"{method.name}: {why}"))
             continue
         measured.by |= other.by
         measured.periods += other.periods

@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
+import numpy as np
+
 from commissioning.desk import Options
 from commissioning.envelope import Envelope
 from commissioning.errors import EnvelopeTripped, FeedbackReversed, MeasurementRejected
@@ -16,7 +18,7 @@ from commissioning.experiments.first_look import FirstLook
 from commissioning.experiments.plan import Context, Plan
 from commissioning.experiments.stopping import Stopping
 from commissioning.identification.modulating import ModulatingEstimate
-from commissioning.identification.record import Record, unfiltered
+from commissioning.identification.record import Record, trusted, unfiltered
 from commissioning.identification.verdict import UnitNames
 from commissioning.rig.mover import Mover
 from drivers.errors import PreflightRefused
@@ -29,7 +31,6 @@ T = TypeVar("T")
 _SOUND_SHARE = 0.35, 0.72  # f/d1 of well-conditioned oscillations
 _WIDEST_KNOWN = 0.3  # relative half-width of f up to which it is worth a new design
 _LEAST_CHANGE = 0.87  # of d1: a smaller change is none
-_STALL_CYCLES = 1.5  # cycles
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,11 +136,8 @@ class Ready:
         # commands before the record act in it, too
         early = begin - self.design.period
         cut = [s for s in self.mover.recorder.samples if early <= s.time <= end]
-        # a host that stalls within an exchange stamps it wrongly; the next one's lateness shows it
-        stall = _STALL_CYCLES * self.context.cycle
-        kept = [
-            s for s, after in zip(cut, [*cut[1:], cut[-1]], strict=True) if after.lateness <= stall
-        ]
+        sound = trusted(np.array([s.lateness for s in cut]), self.context.cycle)
+        kept = [s for s, is_sound in zip(cut, sound.tolist(), strict=True) if is_sound]
         whole = record_of(kept, cut, self.context.resolution)
         if self.options.output_filter:
             whole = unfiltered(whole, self.options.output_filter)

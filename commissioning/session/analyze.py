@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from commissioning.ending import begun, ended, failed
 from commissioning.errors import MeasurementRejected
 from commissioning.identification import verdict
+from commissioning.identification.errors import words_of
 from commissioning.identification.lock_in import LockIn, lock_in, phasors
 from commissioning.identification.modulating import (
     ModulatingEstimate,
@@ -20,8 +21,8 @@ from commissioning.identification.modulating import (
 )
 from commissioning.identification.oscillation import Steady, pair, steady_oscillations
 from commissioning.identification.reasons import Reason, Weight
-from commissioning.identification.record import Record, rests
-from commissioning.identification.steady import SteadyFit, SteadyPoint, fit, plateaus
+from commissioning.identification.record import Record, resolution_of, rests, trusted
+from commissioning.identification.steady import SteadyFit, SteadyPoint, at_speed, fit, plateaus
 from commissioning.identification.verdict import agreement, of_lock_in, of_modulating
 from commissioning.recording import Recording, column_of, read, table_of
 from commissioning.result.document import RunResult
@@ -44,7 +45,10 @@ __all__ = ["Columns", "analyze"]
 Array = NDArray[np.float64]
 Columns = dict[str, str | None]  # quantity: COL:UNIT as the user gives it
 
-_DOMINATES = 0.5  # of the record: one oscillation that is all there is
+_DOMINATES = 0.5  # of the record: one oscillation that is all there is …
+_BEFORE = 0.1  # of the span that was analysed
+_ONE_SWING = 1.1  # … with half-swings that differ by no more
+_MISSES = 0.15  # of the torque, on speeds that were left out: no friction curve
 
 
 def analyze(
@@ -71,16 +75,19 @@ def analyze(
     mechanics = Mechanics(motion="linear" if linear else "rotary", feed=1.0 if linear else None)
     axis = Axis(mechanics=mechanics).model_copy(update={"name": files[0].stem})
     result = replace(begun(axis), experiment=_watched(recordings))
+    if len(recordings) > 1 and not steady:
+        raise UsageError("several recordings go together with --steady only; give one")
     try:
-        if steady:
-            result = _steady(result, recordings)
-        elif len(recordings) > 1:
-            raise UsageError("several recordings go together with --steady only; give one")
-        else:
-            result = _motion(result, recordings[0], method, tell)
+        # a number that overflows is an error, not a warning of numpy's
+        with np.errstate(over="raise", invalid="raise", divide="raise"):
+            if steady:
+                result = _steady(result, recordings)
+            else:
+                result = _motion(result, recordings[0], method, tell)
     except (ValueError, ArithmeticError, MeasurementRejected) as error:
         got = error.result if isinstance(error, Rejected) else result
-        why = MeasurementRejected(f"{files[0]}: {error}", code="recording.rejected")
+        told = str(error) if isinstance(error, MeasurementRejected) else words_of(error)
+        why = MeasurementRejected(f"{files[0]}: {told}", code="recording.rejected")
         raise Rejected(str(why), ended(failed(got, why), None, AxisState.NOT_MOVED)) from None
     return ended(replace(result, status="completed"), None, AxisState.NOT_MOVED)
 
@@ -107,12 +114,15 @@ def _late_share(time: Array) -> float:
 
 def _steady(result: RunResult, recordings: list[Recording]) -> RunResult:
     points: list[SteadyPoint] = []
+    resting = []
     for recording in recordings:
         velocity = recording.velocity
         if velocity is None:
             assert recording.position is not None
             velocity = np.gradient(recording.position, recording.time)
-        points += plateaus(velocity, recording.torque)
+        moves = at_speed(velocity)
+        resting.append(1 - float(np.mean(moves)))
+        points += plateaus(velocity, recording.torque, moves)
     found = fit(points)
     numbers = {
         name: quantity(getattr(found, name), result.units.of_quantity(name))
@@ -124,7 +134,18 @@ def _steady(result: RunResult, recordings: list[Recording]) -> RunResult:
         friction=Found("steady", **numbers, curve=curve_of([found], fastest)),
         methods=Methods(steady=steady_reading(found, points)),
     )
-    return judged(result, _steady_reasons(found, result.units))
+    return judged(result, [*_steady_reasons(found, result.units), *_of_rest(resting)])
+
+
+def _of_rest(shares: list[float]) -> list[Reason]:
+    """What rests, of each recording; that is no speed."""
+    some = [share for share in shares if share > 0]
+    if not some:
+        return []
+    text = f"the axis rests in {len(some)} of {len(shares)} recordings, " if len(shares) > 1 else ""
+    text += f"{'for' if text else 'the axis rests for'} {100 * max(some):.0f} % of the time"
+    text += " at most; that is left out" if len(some) > 1 else "; that is left out"
+    return [Reason("axis.rests", Weight.NOTE, text)]
 
 
 def _steady_reasons(found: SteadyFit, units: Units) -> list[Reason]:
@@ -133,7 +154,7 @@ def _steady_reasons(found: SteadyFit, units: Units) -> list[Reason]:
         reasons.append(
             Reason(
                 "fit.left-out",
-                Weight.DOUBT,
+                Weight.CONTRADICTION if found.held_out > _MISSES else Weight.DOUBT,
                 f"speeds that were left out of the fit are met to {100 * found.held_out:.1f} % "
                 "only",
             )
@@ -171,6 +192,7 @@ def _motion(
     kinematics = refined_kinematics(record)
     oscillations = steady_oscillations(record, kinematics)
     two = pair(oscillations)
+    is_a_run = recording.analysed is not None
     exact: LockIn | None = None
     fast: ModulatingEstimate | None = None
     if two is not None and method != "modulating":
@@ -194,10 +216,22 @@ def _motion(
             hint="use --method modulating",
         )
     if method != "lock-in":
-        _refuse_one_oscillation(record, oscillations, units)
+        one = not is_a_run and _is_one_oscillation(record, oscillations)
         tell("modulating functions")
-        fast = estimate(record, any_motion=two is None)
+        fast = estimate(record, any_motion=two is None and not is_a_run, ladder=not one)
         reasons += of_modulating(fast, named)
+        if one:
+            swing, period = oscillations[0].half_swing, oscillations[0].period
+            reasons.append(
+                Reason(
+                    "recording.one-oscillation",
+                    Weight.DOUBT,
+                    f"one oscillation only (half-swing {swing:.3g} {units.position}, period "
+                    f"{period * 1000:.4g} ms): what tells Coulomb from viscous friction is the "
+                    "shape of its torque alone, so no other law was tried; record two of clearly "
+                    "different torque",
+                )
+            )
     if exact is not None:
         reasons += of_lock_in(exact, record.resolution, named)
         if fast is not None:
@@ -237,10 +271,18 @@ def _record(recording: Recording) -> tuple[Record, list[Reason]]:
                 "the position is the integral of the velocity that was recorded",
             )
         )
-    steps = np.abs(np.diff(position))
-    moving = steps[steps > 1e-9 * float(np.ptp(position))]
-    resolution = float(np.quantile(moving, 0.01)) if len(moving) else 0.0
-    record = Record.of(recording.time, position, recording.sent, recording.torque, resolution)
+    time, sent, torque = recording.time, recording.sent, recording.torque
+    if recording.analysed is not None:
+        mask = recording.analysed
+        if recording.lateness is not None:
+            mask = mask & trusted(recording.lateness, float(np.median(np.diff(time))))
+        kept = np.flatnonzero(mask)
+        span = time[kept[-1]] - time[kept[0]]
+        acts = sent >= time[kept[0]] - _BEFORE * span  # commands before it act in it, too
+        acts &= sent <= time[kept[-1]]
+        time, position = time[kept], position[kept]
+        sent, torque = sent[acts], torque[acts]
+    record = Record.of(time, position, sent, torque, resolution_of(position))
     quiet = rests(record)
     if len(quiet):
         share = float((quiet[:, 1] - quiet[:, 0]).sum() / (record.time[-1] - record.time[0]))
@@ -254,17 +296,11 @@ def _record(recording: Recording) -> tuple[Record, list[Reason]]:
     return record, reasons
 
 
-def _refuse_one_oscillation(record: Record, oscillations: list[Steady], units: Units) -> None:
+def _is_one_oscillation(record: Record, oscillations: list[Steady]) -> bool:
+    """Whether one oscillation, of one half-swing, is nearly all there is."""
     duration = float(record.time[-1] - record.time[0])
     covered = sum((o.periods + 1) * o.period for o in oscillations)
     if not oscillations or covered < _DOMINATES * duration:
-        return
+        return False
     swings = [o.half_swing for o in oscillations]
-    if max(swings) > 1.1 * min(swings):
-        return
-    raise MeasurementRejected(
-        f"one oscillation only (half-swing {swings[0]:.3g} {units.position}, period "
-        f"{oscillations[0].period * 1000:.4g} ms): it cannot tell Coulomb from viscous friction",
-        code="recording.one-oscillation",
-        hint="record two of clearly different torque",
-    )
+    return max(swings) <= _ONE_SWING * min(swings)

@@ -16,6 +16,7 @@ from commissioning.identification.critical_point import (
     corrected,
     friction_of,
 )
+from commissioning.identification.errors import words_of
 from commissioning.identification.reasons import Reason, Weight
 from commissioning.identification.verdict import dwell_share, is_unsigned, of_torque, torque_gain
 from commissioning.result.document import RunResult
@@ -54,7 +55,8 @@ def identify(axis: Axis, options: Options, desk: Desk) -> RunResult:
             found = _measured(result, repeats, rig)
         except ValueError as error:  # a limit cycle that no relay makes
             raise MeasurementRejected(
-                f"the oscillations contradict themselves: {error}", code="measurement.contradiction"
+                f"the oscillations contradict themselves: {words_of(error)}",
+                code="measurement.contradiction",
             ) from None
         return with_proposal(found, rig.drive, options.fraction)
 
@@ -78,6 +80,10 @@ def _measured(result: RunResult, repeats: Sequence[Measured], rig: Rig) -> RunRe
             tests=last.tests,
             repeats=tuple(one.found.coulomb.value for one in repeats),
             setup=_setup(rig, last),
+            analysed=(
+                float(last.record.time[0]) - recorder.samples[0].sent,
+                float(last.record.time[-1]) - recorder.samples[0].sent,
+            ),
         ),
     )
     reasons = [*_of_repeats(repeats), *_reasons(last, recorder.samples, drive.cycle)]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from commissioning.desk import Desk, Options, connect
 from commissioning.errors import MeasurementRejected
 from commissioning.experiments.design import SHORT
+from commissioning.identification.errors import words_of
 from commissioning.identification.modulating import estimate
 from commissioning.identification.reasons import Reason, Weight
 from commissioning.result.document import Quality, RunResult
@@ -91,7 +92,7 @@ def dead_time(axis: Axis, options: Options, desk: Desk) -> RunResult:
             found = estimate(record, any_motion=True)
         except (ValueError, ArithmeticError) as error:
             raise MeasurementRejected(
-                f"the torque steps show no dead time: {error}", code="measurement.method"
+                f"the torque steps show no dead time: {words_of(error)}", code="measurement.method"
             ) from None
         number = quantity(found.dead_time, result.units.dead_time)
         only = Reason("dead-time.only", Weight.NOTE, "torque steps: the dead time only")

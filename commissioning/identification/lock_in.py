@@ -32,6 +32,8 @@ _FINE = 5  # points of integration a sample
 _OUTLIER = 5.0  # times the median distance from the mean: a period that is rejected
 _ALWAYS_SOUND = 5e-3  # of the position: a period that obeys the balance so well is never rejected
 _FEWEST = 3  # periods of each oscillation
+_NOISE, _HIDDEN = 4.5, 0.05  # of f, for each h² counts of half-swing; more hides a harmonic
+_RIGID = 0.05  # of the inertia, by which harmonic 3 may differ where there is no resonance
 _MOST_REJECTED = 0.4  # of the periods
 
 
@@ -89,6 +91,8 @@ class LockIn:
     complex_coulomb : f̄ at the fundamental, N.m or N
     plant : G(jω) at the fundamental
     harmonics : f by the balance at harmonics 1, 3, 5 each, N.m or N
+    apart : how far those that the resolution does not hide are from the fundamental's, as a share
+        of it; infinite where it hides all
     period : s
     half_swing, fundamental : of both oscillations, rad or m
     periods, rejected : of both oscillations, used and left out
@@ -102,6 +106,7 @@ class LockIn:
     complex_coulomb: complex
     plant: complex
     harmonics: tuple[float, ...]
+    apart: float
     period: float
     half_swing: tuple[float, float]
     fundamental: tuple[float, float]
@@ -191,6 +196,7 @@ def lock_in(first: Phasors, second: Phasors, resolution: float, cycle: float) ->
     found = dict(zip(names, zip(values.tolist(), errors.tolist(), strict=True), strict=True))
     solved = [balance(*pair, k) for k in range(len(HARMONICS))]
     f, period = found["coulomb"][0], first.period
+    w = 2 * pi / period
     coarse = resolution / min(p.half_swing for p in pair)
     # a reversal is found to a few hundredths of a sample; harmonic 3 shows what else is wrong
     timing = 0.05 * cycle / period
@@ -199,10 +205,19 @@ def lock_in(first: Phasors, second: Phasors, resolution: float, cycle: float) ->
         "coulomb": 1e-3 + 2 * timing + 0.3 * coarse, "offset": 0.0, "inertia": 2e-3 + 2 * timing,
         "viscous": 0.02, "dead_time": 0.02,
     }  # fmt: skip
+    stiff = [
+        _stiffness(s, w * h, found["dead_time"][0]) for s, h in zip(solved, HARMONICS, strict=True)
+    ]
+    inertia, other = (
+        -one.real / (w * h) ** 2 for one, h in zip(stiff[:2], HARMONICS[:2], strict=True)
+    )
+    elastic = abs(other / inertia - 1) > _RIGID if inertia else True
     extra = {
+        "inertia": abs(other - inertia) if elastic else 0.0,
         "coulomb": min(0.05 * apart, 0.02 * f),
         "offset": 2e-3 * f,
-        "viscous": 4 * timing * f * period / (2 * pi * min(p.half_swing for p in pair)),
+        "viscous": 4 * timing * f * period / (2 * pi * min(p.half_swing for p in pair))
+        + (abs(stiff[1].imag / (3 * w) - stiff[0].imag / w) if elastic else 0.0),
         "dead_time": 0.05 * cycle,
     }
     estimates = {
@@ -214,6 +229,14 @@ def lock_in(first: Phasors, second: Phasors, resolution: float, cycle: float) ->
         complex_coulomb=solved[0].friction,
         plant=solved[0].plant,
         harmonics=tuple(abs(s.friction) for s in solved),
+        apart=max(
+            (
+                abs(abs(s.friction) / f - 1)
+                for s, h in zip(solved[1:], HARMONICS[1:], strict=True)
+                if f and _NOISE * h * h * coarse < _HIDDEN
+            ),
+            default=float("inf"),
+        ),
         period=period,
         half_swing=(first.half_swing, second.half_swing),
         fundamental=tuple(float(np.mean(np.abs(p.position[:, 0]))) for p in pair),  # type: ignore[arg-type]
@@ -228,13 +251,18 @@ def _numbers(first: Phasors, second: Phasors) -> tuple[tuple[str, ...], Array]:
     solved = balance(first, second)
     f = abs(solved.friction)
     delay = float(np.angle(solved.friction)) / w
-    stiffness = np.exp(-1j * w * delay) / solved.plant
+    stiffness = _stiffness(solved, w, delay)
     offsets = np.concatenate(
         [phasor.mean_torque - f * phasor.mean_sign for phasor in (first, second)]
     )
     names = ("coulomb", "offset", "viscous", "inertia", "dead_time")
     values = (f, float(offsets.mean()), stiffness.imag / w, -stiffness.real / w**2, delay)
     return names, np.array(values)
+
+
+def _stiffness(solved: Balance, w: float, delay: float) -> complex:
+    """1/G at ω, rad/s, without the delay: −J·ω² + jω·B of a rigid axis."""
+    return complex(np.exp(-1j * w * delay) / solved.plant)
 
 
 def _sound(first: Phasors, second: Phasors) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -6,11 +6,12 @@ makes it `rejected`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from commissioning.identification.estimate import Estimate
 from commissioning.identification.lock_in import LockIn
 from commissioning.identification.modulating import SUSPICIOUS, ModulatingEstimate
 from commissioning.identification.reasons import Reason, Weight
@@ -19,10 +20,13 @@ from commissioning.identification.record import Record, reversals
 __all__ = [
     "UnitNames",
     "agreement",
+    "as_wide_as_its_harmonics",
+    "balance_is_better",
     "dwell_share",
     "is_unsigned",
     "of_lock_in",
     "of_modulating",
+    "of_preference",
     "of_torque",
     "torque_gain",
     "within_short",
@@ -43,6 +47,9 @@ _CONDITION = 200.0
 _FEW_PERIODS, _WHOLE = 6.0, 0.1  # what is cut off at both ends is no period less
 _MUCH_DRIFT = 0.1  # of the friction, over the record
 _AGREE = 0.03  # of f
+# of f, by which the harmonics of the balance may differ: where it is preferred, where it is all there
+# is; and what of that its interval holds
+_HARMONICS, _OF_HARMONICS = (0.05, 0.15), 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,6 +295,42 @@ def agreement(fast: ModulatingEstimate, exact: LockIn, units: UnitNames) -> Reas
         "methods.agree",
         Weight.DOUBT,
         f"{told}: they disagree, so the axis is not rigid with Coulomb friction",
+    )
+
+
+def balance_is_better(fast: ModulatingEstimate, exact: LockIn) -> bool:
+    """Whether the exact balance explains what modulating functions do not.
+
+    It asks for nothing but friction on the measured side of a linear plant, which may be elastic;
+    that its harmonics agree shows it (method.md 9.5). On bristles they do not.
+    """
+    if not exact.coulomb.value > 0 or exact.apart > _HARMONICS[1]:
+        return False
+    wide = as_wide_as_its_harmonics(exact).coulomb.half_width
+    if exact.apart > _HARMONICS[0]:  # only where there is no other number
+        left = fast.held_out > max(_REJECTED_LEFT, 3 * fast.noise)
+        return left or fast.coulomb.half_width > max(_REJECTED_WIDTH, 2 * wide)
+    left = fast.held_out > max(_LEFT, _BEYOND_NOISE * fast.noise)
+    doubtful = left or fast.lateness > SUSPICIOUS or fast.coulomb.half_width > _WIDE
+    return doubtful and wide < fast.coulomb.half_width
+
+
+def as_wide_as_its_harmonics(exact: LockIn) -> LockIn:
+    """The balance with an interval that holds a share of what its harmonics differ by."""
+    f = exact.coulomb
+    more = _OF_HARMONICS * exact.apart * f.value
+    return replace(exact, coulomb=Estimate(f.value, f.low - more, f.high + more))
+
+
+def of_preference(fast: ModulatingEstimate, exact: LockIn, units: UnitNames) -> Reason:
+    """Why the balance gives the number."""
+    return Reason(
+        "balance.preferred",
+        Weight.DOUBT if exact.apart > _HARMONICS[0] else Weight.NOTE,
+        "the number is the exact balance's, which needs no rigid axis: its harmonics agree to "
+        f"{100 * exact.apart:.1f} %; the equation of motion of a rigid axis leaves "
+        f"{100 * fast.held_out:.1f} % of the torque unexplained and gives "
+        f"{fast.coulomb.value:.4g} {units.effort}",
     )
 
 

@@ -77,6 +77,7 @@ class Measured:
     shown : one oscillation at d1 and one at d2
     record : what the chosen method read
     by : what each method that was run has found
+    preferred : the method whose numbers are better here; None: the finest that was run
     corrected, second : the plant read from the phasors of the relay's limit cycle, and of an
         oscillation of another amplitude at the same frequency
     points : the plant at the phases that tuning rules ask for
@@ -89,6 +90,7 @@ class Measured:
     periods: int
     tests: int = 1
     by: dict[MethodName, Estimates] = field(default_factory=dict)
+    preferred: MethodName | None = None
     corrected: CriticalPoint | None = None
     second: CriticalPoint | None = None
     points: dict[str, Wished] = field(default_factory=dict)
@@ -96,7 +98,9 @@ class Measured:
 
     @property
     def method(self) -> MethodName:
-        """The method that gives the numbers: the finest that was run."""
+        """The method that gives the numbers."""
+        if self.preferred is not None:
+            return self.preferred
         return next(name for name in MethodName if name in self.by)
 
     @property

@@ -33,8 +33,11 @@ from commissioning.identification.record import Kinematics, Record
 from commissioning.identification.two_relay import from_cycles
 from commissioning.identification.verdict import (
     agreement,
+    as_wide_as_its_harmonics,
+    balance_is_better,
     of_lock_in,
     of_modulating,
+    of_preference,
     within_short,
 )
 from commissioning.result.readings import MethodName, Methods
@@ -146,9 +149,20 @@ def _auto(ready: Ready) -> Measured:
         )
         return measured
     measured.by[MethodName.LOCK_IN] = exact
-    if not first.held_out < EXPLAINS:  # no law explains the record: the balance needs none
+    is_better = balance_is_better(fast, exact)
+    if is_better or not first.held_out < EXPLAINS:  # no law explains it: the balance needs none
         measured.second = second
         measured.corrected = _of_relay(short, short.record, exact)
+    if is_better:
+        exact = as_wide_as_its_harmonics(exact)
+        measured.by[MethodName.LOCK_IN] = exact
+        measured.preferred = MethodName.LOCK_IN
+        measured.reasons = [
+            measured.reasons[0],
+            of_preference(fast, exact, ready.units),
+            *of_lock_in(exact, record.resolution, ready.units),
+        ]
+        return measured
     measured.reasons.append(agreement(fast, exact, ready.units))
     return measured
 

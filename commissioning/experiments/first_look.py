@@ -26,10 +26,12 @@ _PUSH_SPEED = 0.3  # share of the speed limit
 _PUSH_TIME = 0.8  # s
 _GOES_ON = 0.08  # s of constant torque in which an axis that broke away goes on …
 _KEEPS_ON = 0.5  # … in their second half at least so far, of the first
-_FAR, _FAST = 0.02, 0.15  # of travel and speed, where it need not be awaited
+_FAR, _FAST = 0.01, 0.15  # of travel and speed, where it need not be awaited
+_FASTER = 3.0  # times the speed at first: it runs away
 _PLAUSIBLE = 0.4, 4.0  # of 2·s/t²: accelerations by a parabola that are believed
 # more torque at which it is away than at which it began to move, as a share: it wound up
-_WINDING, _STEPS_TO_GO = 0.15, 8  # and steps of the ramp
+_WINDING, _STEPS_TO_GO = 0.15, 4  # and steps of the ramp
+_LASTS = 2.0  # times the duration of an even braking: the axis springs back
 _LEAST_SHARE = 0.7  # of the breakaway torque: friction in motion that impulses are believed
 _TIMES = 1.6  # by which the inertia by momentum and by work may differ
 _SPEED = 1e-9  # rad/s or m/s
@@ -84,6 +86,11 @@ class Push:
     coast_distance: float
     dead_time: float
 
+    @property
+    def springs(self) -> bool:
+        """Whether the coast lasts much longer than even braking over its distance would."""
+        return self.coast_duration * self.speed > _LASTS * 2 * self.coast_distance > 0
+
 
 def first_look(context: Context) -> Plan[FirstLook]:
     """Ramp and push, both ways; raises MeasurementRejected."""
@@ -136,10 +143,11 @@ def _evaluate(context: Context, breakaway: float, offset: float, pushes: list[Pu
     coulomb, viscous = (float(value) for value in solution / scale)
     if viscous < 0:
         coulomb, viscous = float(impulses.sum() / rows[:, 0].sum()), 0.0
-    if not _LEAST_SHARE * breakaway < coulomb <= 1.3 * breakaway:
-        # an axis that springs back is not at rest for long: by work, which does not ask when
-        coulomb, viscous = min(*(_by_work(p) for p in pushes), 1.3 * breakaway), 0.0
-    if not coulomb > 0:
+    springy = [_by_work(p) for p in pushes if p.springs]
+    if springy and not _LEAST_SHARE * breakaway < coulomb <= 1.3 * breakaway:
+        # such an axis is not at rest for long: by work, which does not ask when
+        coulomb, viscous = min(*springy, 1.3 * breakaway), 0.0
+    if not 0 < coulomb <= 1.3 * breakaway:
         coulomb = breakaway  # the friction in motion cannot be told from these pushes
     inertia = float(np.median([_inertia(p, coulomb, viscous) for p in pushes]))
     if not inertia > 0:
@@ -168,7 +176,7 @@ def _inertia(push: Push, coulomb: float, viscous: float) -> float:
     found = (braking - push.torque * push.dead_time) / push.speed
     taken, tail = coulomb * push.coast_distance, push.torque * push.speed * push.dead_time
     by_work = 2 * (taken - tail) / push.speed**2
-    return by_work if taken > 2 * tail and found > _TIMES * by_work else found
+    return by_work if push.springs and taken > 2 * tail and found > _TIMES * by_work else found
 
 
 def _ramp(context: Context, direction: int) -> Plan[float]:
@@ -184,17 +192,17 @@ def _ramp(context: Context, direction: int) -> Plan[float]:
     step = direction * limit / RAMP_TIME * context.cycle
     began, base, away = context.rest, begin, _AWAY * context.motion
     while abs(torque) <= limit or torque * direction < 0:
-        sample = yield torque
+        previous, sample = sample, (yield torque)
         moved = (sample.position - begin) * direction
         further = (sample.position - base) * direction
         if further < _WOUND_UP / _AWAY * away:
             began = sample.command
         elif further > away:
-            if (yield from _goes_on(context, torque, direction, sample)):
-                wound = abs(torque - began) > max(
-                    _WINDING * abs(began - context.rest), _STEPS_TO_GO * abs(step)
-                )
-                return torque if wound else began
+            raised = max(_WINDING * abs(began - context.rest), _STEPS_TO_GO * abs(step))
+            if abs(torque - began) <= raised:  # it went at once
+                return began
+            if (yield from _goes_on(context, torque, direction, previous, sample)):
+                return torque
             sample = yield torque
             base, away = sample.position, max(away, (sample.position - begin) * direction)
         if moved < -context.motion:
@@ -214,18 +222,24 @@ def _ramp(context: Context, direction: int) -> Plan[float]:
     )
 
 
-def _goes_on(context: Context, torque: float, direction: int, first: Sample) -> Plan[bool]:
+def _goes_on(
+    context: Context, torque: float, direction: int, previous: Sample, first: Sample
+) -> Plan[bool]:
     """Whether motion goes on while the torque stays, or was the axis winding up.
 
-    Ends before it becomes fast or goes far.
+    Ends as soon as the axis runs away from its torque: what winds up does not become faster.
     """
+
+    def speed(before: Sample, after: Sample) -> float:
+        return (after.position - before.position) * direction / (after.time - before.time)
+
     time, half = max(_GOES_ON, _FEWEST * context.cycle), None
-    sample = first
+    at_first, sample = max(speed(previous, first), context.resolution / context.cycle), first
     while sample.time - first.time < time:
         before, sample = sample, (yield torque)
         moved = (sample.position - first.position) * direction
-        speed = (sample.position - before.position) * direction / (sample.time - before.time)
-        if moved > _FAR * context.travel or speed > _FAST * context.speed:
+        fast = min(_FASTER * at_first, _FAST * context.speed)
+        if moved > _FAR * context.travel or speed(before, sample) > fast:
             return True
         if half is None and sample.time - first.time >= time / 2:
             half = moved

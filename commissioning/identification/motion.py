@@ -33,6 +33,7 @@ _MOST = 5000  # samples of a record in which all reversals are found together
 MANY = 60  # samples a period in which the velocity is seen well enough
 _SOFT = 0.1  # of the largest friction: a smaller jump at a reversal says nothing
 _RIDGE = 1e-13
+_WANDERS, _STRAYS = 2.0, 0.05  # samples, of a period: a reversal that goes farther is lost
 _KNOTS = 6  # of what the model leaves over, a period
 
 
@@ -120,6 +121,7 @@ class Motion:
         self._switchings = record.sent[1:][np.diff(record.command) != 0]
         self.instants = instants
         self.lateness = 0.0
+        self._first, self._most = instants, max(_WANDERS * self._step, _STRAYS * period)
         self._moved = np.zeros(len(instants))
         self._reach = np.full(len(instants), self._step)
         # trapezoids with the curvature that the samples themselves show
@@ -180,7 +182,10 @@ class Motion:
         # one that is turned back has gone too far: it takes shorter steps from then on
         self._reach = np.where(moves * self._moved < 0, 0.5 * self._reach, self._reach)
         self._moved = np.clip(moves, -self._reach, self._reach)
-        self.instants = np.maximum.accumulate(self.instants + self._moved)
+        near = np.clip(
+            self.instants + self._moved, self._first - self._most, self._first + self._most
+        )
+        self.instants = np.maximum.accumulate(near)
         self.cells = self._cells(model)
         return float(np.abs(self._moved).mean()) if len(moves) else 0.0
 

@@ -53,8 +53,11 @@ class Reader:
         self._found = found
         self._model = found.fit.model
         self._friction = friction_in(found.fit.law, found.fit.coefficients)
-        self._motion = Motion(record, instants, begins, period)
         self._step = float(np.median(np.diff(record.time)))
+        fitted = found.fit.instants  # of the record that the law was found in they are known better
+        if len(fitted) == len(instants) and np.all(np.abs(fitted - instants) < 2 * self._step):
+            instants = fitted
+        self._motion = Motion(record, instants, begins, period)
         for _ in range(_PASSES):
             if self._motion.update(self._model, self._friction) < _SETTLED * self._step:
                 break

@@ -47,8 +47,8 @@ _CONDITION = 200.0
 _FEW_PERIODS, _WHOLE = 6.0, 0.1  # what is cut off at both ends is no period less
 _MUCH_DRIFT = 0.1  # of the friction, over the record
 _AGREE = 0.03  # of f
-# of f, by which the harmonics of the balance may differ: where it is preferred, where it is all there
-# is; and what of that its interval holds
+# of f, by which the balance's harmonics may differ: where it is preferred, and where nothing else
+# is there; and what of that its interval holds
 _HARMONICS, _OF_HARMONICS = (0.05, 0.15), 0.4
 
 
@@ -310,9 +310,9 @@ def balance_is_better(fast: ModulatingEstimate, exact: LockIn) -> bool:
     if exact.apart > _HARMONICS[0]:  # only where there is no other number
         left = fast.held_out > max(_REJECTED_LEFT, 3 * fast.noise)
         return left or fast.coulomb.half_width > max(_REJECTED_WIDTH, 2 * wide)
+    # on bristles the harmonics may agree by chance, but there a law leaves little
     left = fast.held_out > max(_LEFT, _BEYOND_NOISE * fast.noise)
-    doubtful = left or fast.lateness > SUSPICIOUS or fast.coulomb.half_width > _WIDE
-    return doubtful and wide < fast.coulomb.half_width
+    return left and wide < fast.coulomb.half_width
 
 
 def as_wide_as_its_harmonics(exact: LockIn) -> LockIn:

@@ -176,6 +176,13 @@ def _compare(outcome: Outcome, result: RunResult, record: Record) -> None:
             point = result.critical_point.point(name)
             if point is not None:
                 outcome.points[name] = against_plant(point, axis)
+            if point is not None and point.ku is not None and name == "at_180":
+                truth_ku = ku_of(axis, 2 * math.pi / point.period)
+                held = None
+                if point.ku_low is not None and point.ku_high is not None and truth_ku:
+                    held = bool(point.ku_low <= truth_ku <= point.ku_high)
+                if truth_ku:
+                    outcome.points["ku"] = (100 * (point.ku / truth_ku - 1), 0.0, held)
 
 
 def case_of(outcome: Outcome) -> Case:
@@ -225,6 +232,18 @@ def against_plant(point: Point, axis: VirtualAxis) -> tuple[float, float, bool |
         allowed = (point.phase_high_deg or point.phase_deg) - point.phase_deg
         covered = bool(point.gain_low <= abs(truth) <= point.gain_high and abs(turned) <= allowed)
     return gain, turned, covered
+
+
+def ku_of(axis: VirtualAxis, near: float) -> float | None:
+    """The true ultimate gain: 1/|G| where the phase crosses −180° next to `near`, rad/s."""
+    w = near * np.geomspace(0.2, 5, 20_001)
+    turned = np.array([cmath.phase(-plant_of(axis, x)) for x in w])
+    small = np.abs(turned) < 0.5 * np.pi
+    crossed = np.flatnonzero((turned[:-1] * turned[1:] <= 0) & small[:-1] & small[1:])
+    if not len(crossed):
+        return None
+    at = crossed[np.argmin(np.abs(np.log(w[crossed] / near)))]
+    return 1 / abs(plant_of(axis, float(w[at])))
 
 
 def plant_of(axis: VirtualAxis, w: float) -> complex:
@@ -374,7 +393,7 @@ def _points(outcomes: list[Outcome]) -> list[str]:
         "| point | gain | phase | interval true |",
         "| --- | --- | --- | --- |",
     ]
-    for name in POINTS:
+    for name in (*POINTS, "ku"):
         found = [o.points[name] for o in outcomes if name in o.points]
         told = [p[2] for p in found if p[2] is not None]
         lines.append(

@@ -90,7 +90,8 @@ def points(result: RunResult, screen: Screen) -> None:
                 f"{point.phase_deg:.1f}°"
                 + (f" ± {turned - point.phase_deg:.1f}°" if turned is not None else ""),
                 f"{1000 * point.period:.4g} ms",
-                number(point.ku),
+                number(point.ku)
+                + (f" ({number(point.ku_low)} … {number(point.ku_high)})" if point.ku_low else ""),
             ]
         )
     units = result.units

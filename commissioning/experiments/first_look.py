@@ -283,9 +283,7 @@ def push(context: Context, offset: float, torque: float) -> Plan[Push]:
             "position signal noisy",
             code="measurement.no-acceleration",
         )
-    still = next(
-        s for s in samples[switched:] if abs(s.position - last.position) <= 2.5 * context.resolution
-    )
+    still = next(s for s in samples[switched:] if abs(s.position - last.position) <= context.still)
     began, end = samples[0].sent, samples[switched - 1]
     dead_time = min(max(start - began, 0.0), 0.5 * (still.time - began))
     return Push(

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from cmath import phase, rect
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import cos, degrees, exp, log, pi, radians, sin, sqrt
+from dataclasses import dataclass, replace
+from math import cos, degrees, exp, hypot, log, pi, radians, sin, sqrt
 
 from commissioning.identification.describing_function import equivalent, relay
 from commissioning.identification.estimate import Estimate
@@ -16,6 +16,7 @@ from commissioning.identification.limit_cycle import LimitCycle
 
 __all__ = [
     "CriticalPoint",
+    "at_its_phase",
     "at_phase",
     "autotuned",
     "corrected",
@@ -110,22 +111,51 @@ def at_phase(
     """The point of the identified rigid axis at a phase in (−270, −90)°, None where it has none.
 
     The phase falls from −90° at standstill to −180°, and on only by the dead time: without viscous
-    friction there is nothing above −180°, without dead time nothing from there on.
+    friction there is nothing above −180°, without dead time nothing from there on. The gain's
+    interval is of where the phase is truly that (`at_its_phase`).
     """
-    j, b, tau = inertia.value, viscous.value, dead_time.value
+    w = _where((inertia.value, viscous.value, dead_time.value), phase_deg)
+    if w is None:
+        return None
+    point = from_model(inertia, viscous, dead_time, 2 * pi / w)
+    return at_its_phase(point, inertia.value, viscous.value, dead_time.value)
+
+
+def at_its_phase(
+    point: CriticalPoint, inertia: float, viscous: float, dead_time: float
+) -> CriticalPoint:
+    """The point with an interval of the gain where the phase is truly the one that it says.
+
+    A phase that is a little off lies at another frequency, on a flat phase far away: how far the
+    gain is another one there says the model. No interval where the model has no such phase.
+    """
+    if point.gain_error is None or point.phase_error is None:
+        return point
+    axis = inertia, viscous, dead_time
+    gains = []
+    for off in (0.0, -point.phase_error, point.phase_error):
+        w = _where(axis, point.phase_deg + off)
+        if w is None:
+            return replace(point, gain_error=None)
+        gains.append(_rigid(axis, w)[0])
+    moved = max(abs(gain / gains[0] - 1) for gain in gains[1:])
+    return replace(point, gain_error=hypot(point.gain_error, moved))
+
+
+def _where(axis: tuple[float, float, float], phase_deg: float) -> float | None:
+    """Frequency, rad/s, at which a rigid axis has a phase; None: it has none."""
+    j, b, tau = axis
     if not b > 0 or (phase_deg <= -180 and not tau > 0):
         return None
     from scipy.optimize import brentq
 
     try:
-        w = brentq(  # in the logarithm: the range is as wide as axes are different
-            lambda x: _rigid((j, b, tau), exp(x))[1] - phase_deg,
-            log(1e-6 * b / j),
-            log(1e6 * b / j),
+        found = brentq(  # in the logarithm: the range is as wide as axes are different
+            lambda x: _rigid(axis, exp(x))[1] - phase_deg, log(1e-6 * b / j), log(1e6 * b / j)
         )
     except ValueError:  # beyond any frequency that an axis has
         return None
-    return from_model(inertia, viscous, dead_time, 2 * pi / exp(float(w)))
+    return exp(float(found))
 
 
 def autotuned(

@@ -44,6 +44,7 @@ _REACHED = 1.5  # of the slope that a sigmoid still has at the peak speed
 # what reversals that are late take or give, by their share of a period: a sign that is late is
 # friction in phase with the acceleration
 _LATE_INERTIA, _LATE_VISCOUS, _LATE = 3.0, 3.0, 1.0
+_LOADED = 0.004  # of J and f: a lag of the torque, where friction goes with it
 _SHAPE = 0.004  # of f: what a shape parameter that is searched for may take or give
 
 
@@ -164,12 +165,20 @@ def _numbers(fitter: Fitter, fit: Fit, rigid: Fit) -> ModulatingEstimate:
         viscous=Estimate.around(
             model.viscous,
             float(errors[1]),
-            2e-3 * abs(model.viscous) + (left + 2 * (beyond + _LATE_VISCOUS * late) * f) / peak,
+            2e-3 * abs(model.viscous)
+            + (left + 2 * (beyond + _LATE_VISCOUS * late) * f) / peak
+            + (_LOADED * f / peak if fit.law.load else 0.0),
         ),
         inertia=Estimate.around(
             model.inertia,
             float(errors[0]),
-            model.inertia * (1e-3 + fit.residual + _LATE_INERTIA * late),
+            model.inertia
+            * (
+                1.5e-3
+                + 1.2 * fit.residual
+                + _LATE_INERTIA * late
+                + (_LOADED if fit.law.load else 0)
+            ),
         ),
         dead_time=Estimate.around(
             max(model.dead_time, 0.0),

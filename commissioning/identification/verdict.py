@@ -85,7 +85,7 @@ def of_modulating(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
 
     f = found.coulomb
     left = found.held_out
-    if not f.value > 0 or not found.inertia.value > 0:
+    if not f.value > 0 or not found.inertia.high > 0:
         add(
             "fit.impossible",
             Weight.CONTRADICTION,
@@ -420,6 +420,8 @@ def is_unsigned(measured: Array, command: Array) -> bool:
 def torque_gain(measured: Array, command: Array) -> float | None:
     """Measured torque over commanded, at the lag that fits best; None where nothing is measured.
 
+    A drive that always tells 0 measures nothing.
+
     Of a torque without a sign: mean size over mean size.
 
     A drive that is read some time after it was commanded shows the torque before the command is
@@ -429,7 +431,7 @@ def torque_gain(measured: Array, command: Array) -> float | None:
     ----------
     measured, command : (n,) N.m or N, one a cycle
     """
-    if not np.isfinite(measured).all() or len(measured) < 50:
+    if not np.isfinite(measured).all() or len(measured) < 50 or not np.any(measured):
         return None
     if is_unsigned(measured, command):
         return float(np.abs(measured).mean() / max(np.abs(command).mean(), 1e-300))

@@ -157,7 +157,7 @@ class Point:
     gain : |position/torque|
     phase_deg : in (−360, 0]
     period : s, of the oscillation that it was read at
-    ku : 1/gain where the phase is −180° within half a degree
+    ku, ku_low, ku_high : 1/gain where the phase is −180° within half a degree
     travel_needed : rad or m on either side of the start, to measure it
     """
 
@@ -171,6 +171,8 @@ class Point:
     phase_low_deg: Finite | None = None
     phase_high_deg: Finite | None = None
     travel_needed: Finite | None = None
+    ku_low: Finite | None = None
+    ku_high: Finite | None = None
 
 
 @dataclass(frozen=True, slots=True)

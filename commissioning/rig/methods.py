@@ -256,7 +256,9 @@ def _phasors(record: Record, kinematics: Kinematics, held: Held) -> Phasors:
 
 
 def _read_by_law(measured: Measured, found: ModulatingEstimate) -> None:
-    """Relay and oscillator by the law that explains their record."""
+    """Relay and oscillator by the law that explains their record, if that knows the inertia."""
+    if not found.inertia.low > 0:
+        return
     first, second = measured.shown
     reader = Reader(measured.record, found, first.cycle.period)
     measured.corrected = reader.point(*_whole(first))

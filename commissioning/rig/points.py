@@ -7,12 +7,14 @@ oscillation repeated.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import pi, radians, sin
 
 from commissioning.errors import MeasurementRejected
 from commissioning.experiments.at_period import Wanted, oscillate_at
 from commissioning.experiments.design import travel_needed
-from commissioning.identification.critical_point import CriticalPoint, at_phase
+from commissioning.identification.critical_point import CriticalPoint, at_its_phase, at_phase
+from commissioning.identification.errors import NotShown, words_of
 from commissioning.identification.estimate import Estimate
 from commissioning.identification.lock_in import phasors
 from commissioning.identification.modulating import EXPLAINS
@@ -66,10 +68,13 @@ def points(measured: Measured, *, move: bool) -> None:
     Says what is not there or not measured.
     """
     model = {name: measured.estimate(name) for name in ("inertia", "viscous", "dead_time")}
+    measured.corrected = _at_its_phase(measured.corrected, model)
+    measured.second = _at_its_phase(measured.second, model)
     for key, phase in TARGETS.items():
         wished = computed(model, phase)
         if wished.point is not None and move:
             wished = _measured(wished.point, phase, measured, model)
+            wished = replace(wished, point=_at_its_phase(wished.point, model))
         elif wished.point is not None:
             _, travel, why_not = _wanted(wished.point, measured)
             wished = Wished(wished.point, travel, why_not or "not asked for")
@@ -83,6 +88,18 @@ def points(measured: Measured, *, move: bool) -> None:
                     f"the plant at {phase:g}° is {how}: {wished.why_not}",
                 )
             )
+
+
+def _at_its_phase(
+    point: CriticalPoint | None, model: dict[str, Estimate | None]
+) -> CriticalPoint | None:
+    """A point that was measured, where it gives Ku with what its phase makes of that."""
+    axis = [model[name] for name in ("inertia", "viscous", "dead_time")]
+    known = [estimate.value for estimate in axis if estimate is not None]
+    is_computed = point is not None and not point.measured
+    if point is None or is_computed or point.ku is None or len(known) < len(axis):
+        return point
+    return at_its_phase(point, *known)
 
 
 def _measured(
@@ -104,8 +121,11 @@ def _measured(
         )
         try:
             read, settled = _read(wanted, measured)
-        except (MeasurementRejected, ValueError) as error:
+        except MeasurementRejected as error:
             why_not = str(error)
+            break
+        except ValueError as error:
+            why_not = words_of(error)
             break
         if found is None or abs(read.phase_deg - phase) < abs(found.phase_deg - phase):
             found = read
@@ -198,6 +218,6 @@ def _read(wanted: Wanted, measured: Measured) -> tuple[CriticalPoint, bool]:
     if law is not None and law.held_out < EXPLAINS:
         return Reader(record, law, held.period).point(held.begin, held.period, count), held.settled
     if balance is None:
-        raise ValueError("no friction law explains this axis")
+        raise NotShown("no friction law explains this axis")
     read = phasors(record, kinematics(record), held.begin, held.period, count)
     return by_balance(read, balance), held.settled

@@ -141,6 +141,7 @@ def _point(point: CriticalPoint | None) -> Point | None:
     if point is None:
         return None
     gain, phase = point.gain_error, point.phase_error
+    gain = None if gain is None else float(gain)
     return Point(
         point.gain,
         point.phase_deg,
@@ -151,7 +152,16 @@ def _point(point: CriticalPoint | None) -> Point | None:
         None if gain is None else point.gain * (1 + gain),
         None if phase is None else point.phase_deg - phase,
         None if phase is None else point.phase_deg + phase,
+        None,
+        *_ku_interval(point),
     )
+
+
+def _ku_interval(point: CriticalPoint) -> tuple[float | None, float | None]:
+    """Of Ku, where the gain's interval leaves one."""
+    if point.ku is None or point.gain_error is None or not point.gain_error < 1:
+        return None, None
+    return point.ku / (1 + point.gain_error), point.ku / (1 - point.gain_error)
 
 
 # -- the experiment -------------------------------------------------------------------------------

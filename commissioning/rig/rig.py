@@ -164,7 +164,8 @@ class Rig:
         rest = self._holding_torque() if held_by != "friction" else 0.0
         context = replace(self.context, rest=rest)
         self.recorder.phase("does the axis stay at rest?")
-        self.mover.hold(stand(context), self.envelope, rest)
+        noise = self.mover.hold(stand(context), self.envelope, rest)
+        context = replace(context, noise=noise)
         known = self.mover.move(first_look(self._cautious(context)), self.envelope, rest)
         if abs(known.offset) > known.breakaway and held_by == "friction":
             e = self.units.effort

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from commissioning.identification.critical_point import (
+    CriticalPoint,
+    at_its_phase,
     at_phase,
     corrected,
     friction_of,
@@ -100,7 +102,6 @@ def test_the_interval_of_a_computed_point_covers_the_axes_that_the_model_allows(
     j, b, tau = (Estimate(e.value, 0.95 * e.value, 1.05 * e.value) for e in BENCH)
     point = at_phase(j, b, tau, -180.0)
     assert point is not None
-    assert point.gain_error == pytest.approx(0.05, abs=0.01)  # the inertia's
     for factors in ((1.05, 1, 1), (1, 1.05, 1), (1, 1, 1.05), (0.95, 1, 1)):
         inertia, damping, delay = (e.value * k for e, k in zip(BENCH, factors, strict=True))
         s = 2j * pi / point.period
@@ -109,6 +110,37 @@ def test_the_interval_of_a_computed_point_covers_the_axes_that_the_model_allows(
         assert point.phase_error is not None
         assert abs(abs(other) - 1) <= 1.001 * point.gain_error
         assert abs(np.degrees(np.angle(other))) <= 1.001 * point.phase_error
+        # and the ultimate gain of that axis, where its own phase is −180°
+        there = gain_at_180(inertia, damping, delay)
+        assert abs(there / point.gain - 1) <= 1.001 * point.gain_error
+
+
+def gain_at_180(j: float, b: float, tau: float) -> float:
+    """On a fine grid of frequencies: −90° − atan(ω·J/B) − ω·τ."""
+    w = np.geomspace(1e-2, 1e5, 2_000_000)
+    phase = -np.pi / 2 - np.arctan(w * j / b) - w * tau
+    at = w[np.argmin(np.abs(phase + np.pi))]
+    return float(1 / (at * np.hypot(j * at, b)))
+
+
+def test_where_the_phase_is_flat_a_degree_makes_much_of_the_ultimate_gain() -> None:
+    """Much viscous friction, little dead time: ω·τ = atan(B/(ω·J)), both some degrees."""
+    j, b, tau = 1e-3, 0.02, 1.5e-3
+    point = CriticalPoint(gain_at_180(j, b, tau), -180.0, 2 * pi / 115.0, 0.01, 0.8, measured=True)
+    widened = at_its_phase(point, j, b, tau)
+    assert widened.gain_error is not None
+    w = np.geomspace(10, 1e4, 400_000)
+    phase = np.degrees(-np.pi / 2 - np.arctan(w * j / b) - w * tau)
+    gain = 1 / (w * np.hypot(j * w, b))
+    within = gain[np.abs(phase + 180) <= 0.8]
+    worst = max(within.max() / point.gain - 1, 1 - within.min() / point.gain)
+    assert worst > 0.05, "else there is nothing to say"
+    assert widened.gain_error == pytest.approx(np.hypot(0.01, worst), rel=0.02)
+
+
+def test_a_phase_that_the_axis_does_not_have_leaves_no_interval() -> None:
+    point = CriticalPoint(1.0, -180.0, 0.1, 0.01, 2.0, measured=True)
+    assert at_its_phase(point, 1e-3, 2e-3, 0.0).gain_error is None
 
 
 def test_the_corrected_point_is_the_plant_where_the_naive_one_is_far_off() -> None:

@@ -77,6 +77,7 @@ class Outcome:
     moving: float = 0.0  # s of the axis
     analysis: float = 0.0  # s of the processor
     speed: float = 0.0  # simulated seconds a second
+    left: tuple[float, float] | None = None  # held-out residual and noise, of the torque
     bound: float | None = None  # |error| of f over its Cramér–Rao bound
     points: dict[str, tuple[float, float, bool | None]] = field(default_factory=dict)
     peers: dict[str, float | None] = field(default_factory=dict)
@@ -153,6 +154,9 @@ def _compare(outcome: Outcome, result: RunResult, record: Record) -> None:
     outcome.verdict = str(result.quality.verdict)
     outcome.periods, outcome.moving = round(watched.periods), watched.duration
     outcome.why = "; ".join(r.code for r in result.quality.reasons if r.weight != "note")
+    reading = result.methods.modulating if result.methods else None
+    if reading is not None:
+        outcome.left = (reading.held_out or 0.0, reading.noise or 0.0)
     truth = truth_of(axis, record)
     found = result.friction.coulomb
     for name, value in truth.items():

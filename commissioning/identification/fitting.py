@@ -24,7 +24,7 @@ from commissioning.identification.windows import (
     Windows,
 )
 
-__all__ = ["WIDTHS", "Fit", "Fitter", "friction_in"]
+__all__ = ["EXPONENTS", "WIDTHS", "Fit", "Fitter", "friction_in"]
 
 Array = NDArray[np.float64]
 
@@ -39,6 +39,7 @@ _SETTLING_PASSES = 2  # of a motion whose model is known
 _FLOOR = 1e-3  # of a row's torque: what a row may miss beside the noise of the resolution
 _NEGATIVE = 0.01  # of the Coulomb friction, at the fastest: negative viscous friction that is noise
 _CLEARLY, _WORTH = 6.0, 3e-3  # times its error; of f: a linear term that is there
+EXPONENTS = (2.0, 1.0, 0.5)  # of Stribeck curves
 _GOLDEN = 8  # steps to the best shape
 _SHAPES = 11  # first guesses of a shape parameter
 _MOST_WAVES = 150  # of a position-periodic torque along the swing
@@ -210,6 +211,26 @@ class Fitter:
             shape = self._refined(motion, found, rung, around, 1)
             found = self.fit(_with_shape(fit.law, rung, shape), found)
         return self._checked(found)
+
+    def with_exponents(self, fit: Fit) -> list[Fit]:
+        """A fit with a Stribeck term, and the same with the other shapes of it at their best."""
+        found = [fit]
+        assert fit.law.stribeck is not None
+        motion = self.motion_of(fit)
+        for exponent in EXPONENTS:
+            if exponent == fit.law.exponent:
+                continue
+            other = replace(fit, law=replace(fit.law, exponent=exponent))
+            around = fit.law.stribeck * np.geomspace(0.03, 3, _SHAPES)
+            costs = [
+                self._cost(motion, _with_shape(other.law, "stribeck", float(x)), fit.model)
+                for x in around
+            ]
+            shape = self._refined(motion, other, "stribeck", around, int(np.argmin(costs)))
+            checked = self._checked(self.fit(_with_shape(other.law, "stribeck", shape), fit))
+            if checked is not None:
+                found.append(checked)
+        return found
 
     def shows(self, fit: Fit, rung: Rung) -> bool:
         """Whether a linear term stands clearly above its error, the motion taken as it is."""

@@ -3,7 +3,7 @@
 Each law is a sum of terms, linear in its coefficients, with at most one shape parameter:
 
     Coulomb        f·s                          s = sign(v)
-    Stribeck       + b·s·e^(−(v/vs)²)           vs: Stribeck speed
+    Stribeck       + b·s·e^(−(|v|/vs)^e)        vs: Stribeck speed; e 2, 1 or ½
     soft           f·tanh(v/w) + g/cosh²(v/w)   w: width; instead of the Coulomb term. g: a sigmoid
                                                 whose middle is not at rest, f·tanh((v + v₃)/w) with
                                                 g = f·v₃/w
@@ -35,7 +35,7 @@ class Law:
 
     Attributes
     ----------
-    stribeck : vs, rad/s or m/s; None: no such term
+    stribeck, exponent : vs, rad/s or m/s, and e; None: no such term
     soft : w, rad/s or m/s; None: the sign is hard
     load : whether friction grows with the torque
     drag : whether there is a torque that grows with the square of the speed
@@ -44,6 +44,7 @@ class Law:
     """
 
     stribeck: float | None = None
+    exponent: float = 2.0
     soft: float | None = None
     load: bool = False
     drag: bool = False
@@ -76,7 +77,7 @@ class Law:
             level = np.tanh(cells.velocity / self.soft)
             columns = [level, 1 - level**2]
         if self.stribeck is not None:
-            columns.append(cells.sign * np.exp(-((speed / self.stribeck) ** 2)))
+            columns.append(cells.sign * np.exp(-((speed / self.stribeck) ** self.exponent)))
         if self.load:
             columns.append(cells.sign * np.abs(cells.torque))
         if self.drag:
@@ -99,7 +100,7 @@ def curve(law: Law, coefficients: Array, viscous: float, speed: Array) -> Array:
     if law.soft is not None:
         friction = coefficients[0] * np.tanh(speed / law.soft)
     if law.stribeck is not None:
-        friction = friction + coefficients[1] * np.exp(-((speed / law.stribeck) ** 2))
+        friction = friction + coefficients[1] * np.exp(-((speed / law.stribeck) ** law.exponent))
     if law.drag:
         friction = friction + coefficients[law.place("drag")] * speed**2
     result: Array = friction + viscous * speed

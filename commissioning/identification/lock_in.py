@@ -91,6 +91,7 @@ class LockIn:
     complex_coulomb : f̄ at the fundamental, N.m or N
     plant : G(jω) at the fundamental
     harmonics : f by the balance at harmonics 1, 3, 5 each, N.m or N
+    elastic : whether harmonic 3 shows another inertia than the fundamental
     apart : how far those that the resolution does not hide are from the fundamental's, as a share
         of it; infinite where it hides all
     period : s
@@ -107,6 +108,7 @@ class LockIn:
     plant: complex
     harmonics: tuple[float, ...]
     apart: float
+    elastic: bool
     period: float
     half_swing: tuple[float, float]
     fundamental: tuple[float, float]
@@ -229,6 +231,7 @@ def lock_in(first: Phasors, second: Phasors, resolution: float, cycle: float) ->
         complex_coulomb=solved[0].friction,
         plant=solved[0].plant,
         harmonics=tuple(abs(s.friction) for s in solved),
+        elastic=bool(elastic),
         apart=max(
             (
                 abs(abs(s.friction) / f - 1)

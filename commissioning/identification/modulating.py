@@ -15,7 +15,8 @@ pass to pass.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,11 +41,14 @@ EXPLAINS = 0.03  # of the torque: a model that leaves more says nothing about re
 _EXPLAINED_BY_DRIFT = 0.02  # of the torque: what is left more is a change, and no drift
 _NEARLY_EXPLAINED = 5e-3  # of the torque: below, a small term is no make-up for another law
 _LINEAR: tuple[Rung, ...] = ("drift", "drag")
+_AS_GOOD = 1.5  # times the least held-out residual: a shape that the record does not tell apart
 _REACHED = 1.5  # of the slope that a sigmoid still has at the peak speed
 # what reversals that are late take or give, by their share of a period: a sign that is late is
 # friction in phase with the acceleration
 _LATE_INERTIA, _LATE_VISCOUS, _LATE = 3.0, 3.0, 1.0
+_A_LAW = 0.5  # of the torque that is left beyond the noise
 _LOADED = 0.004  # of J and f: a lag of the torque, where friction goes with it
+_STRIBECK = 0.02  # of f: the level that a curve goes down to, by a shape of three
 _SHAPE = 0.004  # of f: what a shape parameter that is searched for may take or give
 
 
@@ -127,14 +131,28 @@ def estimate(
         fitter = Fitter(record, shares, rests(record))
     rigid = fitter.fit(Law())
     fit = _climb(fitter, rigid) if ladder else rigid
-    for rung in (
-        _LINEAR if ladder else ()
-    ):  # what the whole record shows, however little it leaves of the torque
-        if fit.held_out > _NEARLY_EXPLAINED or rung in fit.law.rungs:
+    shapes = [fit] if fit.law.stribeck is None else fitter.with_exponents(fit)
+    fit = min(shapes, key=lambda one: one.held_out)
+    # what the whole record shows, however little it leaves of the torque
+    for rung in _LINEAR if ladder else ():
+        if fit.held_out > _NEARLY_EXPLAINED or rung not in _beside(fit.law):
             continue
         if fitter.shows(fit, rung):
             fit = fitter.with_rung(fit, rung) or fit
-    return _numbers(fitter, fit, rigid)
+    found = _numbers(fitter, fit, rigid)
+    # shapes that the record does not tell apart differ in what they say beyond its speeds
+    limit = _AS_GOOD * min(one.held_out for one in shapes)
+    alike = [found, *(_numbers(fitter, one, rigid) for one in shapes if one.held_out <= limit)]
+    return replace(
+        found,
+        coulomb=_spanning(found.coulomb, [one.coulomb for one in alike]),
+        viscous=_spanning(found.viscous, [one.viscous for one in alike]),
+    )
+
+
+def _spanning(value: Estimate, others: list[Estimate]) -> Estimate:
+    """With an interval that holds those of all."""
+    return Estimate(value.value, min(o.low for o in others), max(o.high for o in others))
 
 
 def _numbers(fitter: Fitter, fit: Fit, rigid: Fit) -> ModulatingEstimate:
@@ -147,38 +165,38 @@ def _numbers(fitter: Fitter, fit: Fit, rigid: Fit) -> ModulatingEstimate:
     low = float(curve(fit.law, fit.coefficients, fit.model.viscous, np.array([0.2 * slowest]))[0])
     swing = float(np.abs(fitter.record.command - fitter.record.command.mean()).mean())
     left = swing * fit.residual  # torque that no term explains, N.m or N
+    # what is more than noise may be a law of its own, which takes a multiple of it
+    beyond_noise = swing * min(sqrt(max(fit.held_out**2 - fitter.noise(fit) ** 2, 0.0)), EXPLAINS)
     halves, widths = (abs(a - b) for a, b in (fit.halves, fit.widths))
     model = fit.model
     seconds = float(fitter.record.time[-1] - fitter.record.time[0])
-    shaped = fit.law.soft is not None or fit.law.stribeck is not None or fit.law.load
+    shaped = fit.law.soft is not None or fit.law.load
     late = fit.lateness * fitter.step / fitter.period  # reversals off zero velocity, of a period
     if not fit.held_out < EXPLAINS:  # they make up for a law that is another
         late = fit.lateness
     share = 5e-4 + 2 * late + (_SHAPE if shaped else 0.0)
+    share += _STRIBECK if fit.law.stribeck is not None else 0.0
+    loaded = _LOADED if fit.law.load else 0.0
     beyond = 0.0
     if fit.law.soft is not None:  # a level that the speed does not reach is extrapolated
         beyond = min(_REACHED / float(np.cosh(min(peak / fit.law.soft, 50.0))) ** 2, 0.25)
     share += beyond
     return ModulatingEstimate(
-        coulomb=Estimate.around(f, float(errors[3]), f * share + 0.5 * left + 0.25 * widths),
+        coulomb=Estimate.around(
+            f, float(errors[3]), f * share + 0.5 * left + 0.25 * widths + _A_LAW * beyond_noise
+        ),
         offset=Estimate.around(model.offset, float(errors[2]), 5e-4 * f + 0.3 * left),
         viscous=Estimate.around(
             model.viscous,
             float(errors[1]),
             2e-3 * abs(model.viscous)
             + (left + 2 * (beyond + _LATE_VISCOUS * late) * f) / peak
-            + (_LOADED * f / peak if fit.law.load else 0.0),
+            + (loaded + (_STRIBECK if fit.law.stribeck is not None else 0.0)) * f / peak,
         ),
         inertia=Estimate.around(
             model.inertia,
             float(errors[0]),
-            model.inertia
-            * (
-                1.5e-3
-                + 1.2 * fit.residual
-                + _LATE_INERTIA * late
-                + (_LOADED if fit.law.load else 0)
-            ),
+            model.inertia * (1.5e-3 + 1.2 * fit.residual + _LATE_INERTIA * late + loaded),
         ),
         dead_time=Estimate.around(
             max(model.dead_time, 0.0),
@@ -244,11 +262,11 @@ def _climb(fitter: Fitter, rigid: Fit) -> Fit:
 def _beside(law: Law) -> tuple[Rung, ...]:
     """Rungs that may be added to a law."""
     rungs: list[Rung] = []
-    if law.stribeck is None and law.soft is None:
+    if law.stribeck is None and law.soft is None and not law.drag:
         rungs += ["stribeck", "soft"]
     if not law.load:
         rungs.append("load")
-    if not law.drag:
+    if not law.drag and law.stribeck is None:  # together they take on any shape
         rungs.append("drag")
     if not law.drift:
         rungs.append("drift")

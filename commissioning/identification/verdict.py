@@ -50,6 +50,7 @@ _AGREE = 0.03  # of f
 # of f, by which the balance's harmonics may differ: where it is preferred, and where nothing else
 # is there; and what of that its interval holds
 _HARMONICS, _OF_HARMONICS = (0.05, 0.15), 0.4
+_BEHIND = 0.03  # of f
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,9 +317,12 @@ def balance_is_better(fast: ModulatingEstimate, exact: LockIn) -> bool:
 
 
 def as_wide_as_its_harmonics(exact: LockIn) -> LockIn:
-    """The balance with an interval that holds a share of what its harmonics differ by."""
+    """The balance with an interval that holds a share of what its harmonics differ by.
+
+    And, behind a spring that the record shows, of a friction that is not on the measured side.
+    """
     f = exact.coulomb
-    more = _OF_HARMONICS * exact.apart * f.value
+    more = (_OF_HARMONICS * exact.apart + (_BEHIND if exact.elastic else 0.0)) * f.value
     return replace(exact, coulomb=Estimate(f.value, f.low - more, f.high + more))
 
 
@@ -326,7 +330,9 @@ def of_preference(fast: ModulatingEstimate, exact: LockIn, units: UnitNames) -> 
     """Why the balance gives the number."""
     return Reason(
         "balance.preferred",
-        Weight.DOUBT if exact.apart > _HARMONICS[0] else Weight.NOTE,
+        Weight.DOUBT
+        if exact.apart > _HARMONICS[0] or exact.elastic or exact.coulomb.half_width > _WIDE
+        else Weight.NOTE,
         "the number is the exact balance's, which needs no rigid axis: its harmonics agree to "
         f"{100 * exact.apart:.1f} %; the equation of motion of a rigid axis leaves "
         f"{100 * fast.held_out:.1f} % of the torque unexplained and gives "

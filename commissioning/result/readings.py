@@ -105,6 +105,7 @@ class LawReading:
     soft_speed: Finite | None = None
     pitch: Finite | None = None
     coefficients: tuple[Finite, ...] = ()
+    stribeck_exponent: Finite | None = None
 
 
 @dataclass(frozen=True, slots=True)

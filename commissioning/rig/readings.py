@@ -81,6 +81,7 @@ def modulating_reading(found: ModulatingEstimate) -> ModulatingReading:
         LawReading(
             ("coulomb", "viscous", *law.rungs), law.stribeck, law.soft, law.position,
             tuple(found.coefficients.tolist()),
+            None if law.stribeck is None else law.exponent,
         ),
         *(_finite(getattr(found, name)) for name in _CHECKS),
     )  # fmt: skip

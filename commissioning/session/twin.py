@@ -305,6 +305,8 @@ def _by_law(
         options["soft_shift"] = bias * law.soft_speed / coulomb * effort if coulomb else 0.0
     if law.stribeck_speed is not None and terms:
         options |= _stribeck(terms.pop(0), law.stribeck_speed, coulomb, effort)
+        if law.stribeck_exponent is not None and law.stribeck_exponent != 2:
+            options["stribeck_exponent"] = law.stribeck_exponent
     if "load" in law.terms and terms:
         options["load_friction"] = max(terms.pop(0), 0.0)
     if "drag" in law.terms and terms:

@@ -158,51 +158,19 @@ def _spanning(value: Estimate, others: list[Estimate]) -> Estimate:
 def _numbers(fitter: Fitter, fit: Fit, rigid: Fit) -> ModulatingEstimate:
     """The fit as numbers."""
     errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0))
-    f = float(fit.coefficients[0])
-    motion = fitter.motion_of(fit)
-    peak = float(np.abs(motion.cells.velocity).max())
+    f, model = float(fit.coefficients[0]), fit.model
+    peak = float(np.abs(fitter.motion_of(fit).cells.velocity).max())
     slowest = fit.law.stribeck or 0.02 * peak
-    low = float(curve(fit.law, fit.coefficients, fit.model.viscous, np.array([0.2 * slowest]))[0])
-    swing = float(np.abs(fitter.record.command - fitter.record.command.mean()).mean())
-    left = swing * fit.residual  # torque that no term explains, N.m or N
-    # what is more than noise may be a law of its own, which takes a multiple of it
-    beyond_noise = swing * min(sqrt(max(fit.held_out**2 - fitter.noise(fit) ** 2, 0.0)), EXPLAINS)
-    halves, widths = (abs(a - b) for a, b in (fit.halves, fit.widths))
-    model = fit.model
+    low = float(curve(fit.law, fit.coefficients, model.viscous, np.array([0.2 * slowest]))[0])
     seconds = float(fitter.record.time[-1] - fitter.record.time[0])
-    shaped = fit.law.soft is not None or fit.law.load
-    late = fit.lateness * fitter.step / fitter.period  # reversals off zero velocity, of a period
-    if not fit.held_out < EXPLAINS:  # they make up for a law that is another
-        late = fit.lateness
-    share = 5e-4 + 2 * late + (_SHAPE if shaped else 0.0)
-    share += _STRIBECK if fit.law.stribeck is not None else 0.0
-    loaded = _LOADED if fit.law.load else 0.0
-    beyond = 0.0
-    if fit.law.soft is not None:  # a level that the speed does not reach is extrapolated
-        beyond = min(_REACHED / float(np.cosh(min(peak / fit.law.soft, 50.0))) ** 2, 0.25)
-    share += beyond
+    halves, widths = (abs(a - b) for a, b in (fit.halves, fit.widths))
+    more = _systematic(fitter, fit, peak, widths)
     return ModulatingEstimate(
-        coulomb=Estimate.around(
-            f, float(errors[3]), f * share + 0.5 * left + 0.25 * widths + _A_LAW * beyond_noise
-        ),
-        offset=Estimate.around(model.offset, float(errors[2]), 5e-4 * f + 0.3 * left),
-        viscous=Estimate.around(
-            model.viscous,
-            float(errors[1]),
-            2e-3 * abs(model.viscous)
-            + (left + 2 * (beyond + _LATE_VISCOUS * late) * f) / peak
-            + (loaded + (_STRIBECK if fit.law.stribeck is not None else 0.0)) * f / peak,
-        ),
-        inertia=Estimate.around(
-            model.inertia,
-            float(errors[0]),
-            model.inertia * (1.5e-3 + 1.2 * fit.residual + _LATE_INERTIA * late + loaded),
-        ),
-        dead_time=Estimate.around(
-            max(model.dead_time, 0.0),
-            float(errors[-1]),
-            0.01 * fitter.step + 0.02 * model.dead_time + _LATE * fit.lateness * fitter.step,
-        ),
+        coulomb=Estimate.around(f, float(errors[3]), more.coulomb),
+        offset=Estimate.around(model.offset, float(errors[2]), more.offset),
+        viscous=Estimate.around(model.viscous, float(errors[1]), more.viscous),
+        inertia=Estimate.around(model.inertia, float(errors[0]), more.inertia),
+        dead_time=Estimate.around(max(model.dead_time, 0.0), float(errors[-1]), more.dead_time),
         fit=fit,
         low_speed=low,
         peak_speed=peak,
@@ -218,6 +186,44 @@ def _numbers(fitter: Fitter, fit: Fit, rigid: Fit) -> ModulatingEstimate:
         seconds=seconds,
         windows=fitter.windows,
         reversals=fitter.count,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Systematic:
+    """What each number's interval holds beside the scatter, in its unit."""
+
+    coulomb: float
+    offset: float
+    viscous: float
+    inertia: float
+    dead_time: float
+
+
+def _systematic(fitter: Fitter, fit: Fit, peak: float, widths: float) -> _Systematic:
+    """`peak` : speed, rad/s or m/s; `widths`: f of wide windows less that of narrow ones."""
+    f, model, law = float(fit.coefficients[0]), fit.model, fit.law
+    swing = float(np.abs(fitter.record.command - fitter.record.command.mean()).mean())
+    left = swing * fit.residual  # torque that no term explains, N.m or N
+    # what is more than noise may be a law of its own, which takes a multiple of it
+    beyond_noise = swing * min(sqrt(max(fit.held_out**2 - fitter.noise(fit) ** 2, 0.0)), EXPLAINS)
+    late = fit.lateness * fitter.step / fitter.period  # reversals off zero velocity, of a period
+    if not fit.held_out < EXPLAINS:  # they make up for a law that is another
+        late = fit.lateness
+    loaded = _LOADED if law.load else 0.0
+    level = _STRIBECK if law.stribeck is not None else 0.0
+    beyond = 0.0
+    if law.soft is not None:  # a level that the speed does not reach is extrapolated
+        beyond = min(_REACHED / float(np.cosh(min(peak / law.soft, 50.0))) ** 2, 0.25)
+    shape = _SHAPE if law.soft is not None or law.load else 0.0
+    share = 5e-4 + 2 * late + shape + level + beyond
+    slope = 2 * (beyond + _LATE_VISCOUS * late) + loaded + level
+    return _Systematic(
+        coulomb=f * share + 0.5 * left + 0.25 * widths + _A_LAW * beyond_noise,
+        offset=5e-4 * f + 0.3 * left,
+        viscous=2e-3 * abs(model.viscous) + (left + slope * f) / peak,
+        inertia=model.inertia * (1.5e-3 + 1.2 * fit.residual + _LATE_INERTIA * late + loaded),
+        dead_time=0.02 * model.dead_time + (0.01 + _LATE * fit.lateness) * fitter.step,
     )
 
 

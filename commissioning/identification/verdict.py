@@ -210,23 +210,7 @@ def _of_law(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
             f"friction grows with the torque, by {100 * c:.1f} % of it: the level is that without "
             "load",
         )
-    if law.drag:
-        c = float(found.coefficients[law.place("drag")])
-        add(
-            "law.drag",
-            Weight.NOTE,
-            f"drag: a torque that grows with the square of the speed, {c:.3g} {e}·s²/{p}² or "
-            f"{c * found.peak_speed**2:.3g} {e} at the fastest; the friction is that without it",
-        )
-    if law.drift:
-        rate = float(found.coefficients[law.place("drift")]) / found.coulomb.value
-        changed = abs(rate) * found.seconds
-        add(
-            "law.drift",
-            Weight.DOUBT if changed > _MUCH_DRIFT else Weight.NOTE,
-            f"friction changed by {100 * rate:+.2f} % a second while it was measured, "
-            f"{100 * changed:.1f} % in all: the number is the mean over the record",
-        )
+    reasons += _of_small_terms(found, units)
     if law.position is not None:
         size = float(np.hypot(*found.coefficients[-2:]))
         add(
@@ -234,6 +218,35 @@ def _of_law(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
             Weight.DOUBT,
             f"position-dependent torque of ±{size:.3g} {e} with a pitch of {law.position:.4g} {p}: "
             "cogging or the wobble of a screw or gear",
+        )
+    return reasons
+
+
+def _of_small_terms(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
+    """What the terms beside friction say: drag, and drift."""
+    reasons = []
+    e, p, law = units.effort, units.position, found.law
+    if law.drag:
+        c = float(found.coefficients[law.place("drag")])
+        reasons.append(
+            Reason(
+                "law.drag",
+                Weight.NOTE,
+                f"drag: a torque that grows with the square of the speed, {c:.3g} {e}·s²/{p}² or "
+                f"{c * found.peak_speed**2:.3g} {e} at the fastest; the friction is that without "
+                "it",
+            )
+        )
+    if law.drift:
+        rate = float(found.coefficients[law.place("drift")]) / found.coulomb.value
+        changed = abs(rate) * found.seconds
+        reasons.append(
+            Reason(
+                "law.drift",
+                Weight.DOUBT if changed > _MUCH_DRIFT else Weight.NOTE,
+                f"friction changed by {100 * rate:+.2f} % a second while it was measured, "
+                f"{100 * changed:.1f} % in all: the number is the mean over the record",
+            )
         )
     return reasons
 

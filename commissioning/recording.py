@@ -228,6 +228,12 @@ def _layout(path: Path, lines: list[str]) -> tuple[str, int]:
             widths = {_numbers(line, delimiter) for line in block}
             if len(widths) == 1 and widths.pop() >= 2:
                 return delimiter, first
+    rows = sum(any(_numbers(line, d) >= 2 for d in ";\t,") for line in lines[:_SEARCHED])
+    if 0 < rows < 3:
+        raise UsageError(
+            f"{path}: has {rows} row{'s' if rows > 1 else ''} of numbers; a measurement needs "
+            "hundreds"
+        )
     raise UsageError(
         f"{path}: has no rows of numbers within its first {_SEARCHED} lines; a recording is CSV "
         "with a header and two columns or more"

@@ -24,13 +24,13 @@ _HARDER = 1.05  # the second pair of pushes over the first, at least
 _PUSH_TRAVEL = 0.05  # share of the travel that a push may take
 _PUSH_SPEED = 0.3  # share of the speed limit
 _PUSH_TIME = 0.8  # s
-_GOES_ON = 0.08  # s of constant torque in which an axis that broke away goes on …
-_KEEPS_ON = 0.5  # … in their second half at least so far, of the first
+_GOES_ON = 0.25  # s of constant torque in which an axis that broke away goes on …
+_KEEPS_ON = 1.0  # … by so much, of its mean way in their first half; 2 at a constant speed
 _FAR, _FAST = 0.01, 0.15  # of travel and speed, where it need not be awaited
 _FASTER = 3.0  # times the speed at first: it runs away
 _PLAUSIBLE = 0.4, 4.0  # of 2·s/t²: accelerations by a parabola that are believed
-# more torque at which it is away than at which it began to move, as a share: it wound up
-_WINDING, _STEPS_TO_GO = 0.15, 4  # and steps of the ramp
+_AT_ONCE = 4  # steps of the ramp in which an axis that jumps is away
+_WINDING = 0.15  # more torque at which it is away than at which it began to move: it wound up
 _LASTS = 2.0  # times the duration of an even braking: the axis springs back
 _LEAST_SHARE = 0.7  # of the breakaway torque: friction in motion that impulses are believed
 _TIMES = 1.6  # by which the inertia by momentum and by work may differ
@@ -72,6 +72,7 @@ class Push:
     impulse : N.m.s or N.s, given to the axis
     duration : s, from the first motion to rest
     distance : rad or m, from rest to rest
+    reach : rad or m, farthest from where it began
     speed : rad/s or m/s, at the end of the push
     coast_duration, coast_distance : s, rad or m, from there to rest
     dead_time : s
@@ -81,6 +82,7 @@ class Push:
     impulse: float
     duration: float
     distance: float
+    reach: float
     speed: float
     coast_duration: float
     coast_distance: float
@@ -134,6 +136,8 @@ def torque_steps(context: Context, known: FirstLook) -> Plan[None]:
 
 def _evaluate(context: Context, breakaway: float, offset: float, pushes: list[Push]) -> FirstLook:
     """From rest to rest the momentum is zero: impulse = f·duration + B·distance, without J."""
+    if all(p.speed <= _SPEED for p in pushes):
+        raise _load_stays(max(p.torque for p in pushes), max(p.reach for p in pushes), context)
     # one that only wound the axis up says nothing
     pushes = [p for p in pushes if p.speed > _SPEED and p.coast_distance > 0] or pushes
     rows = np.array([(p.duration, p.distance) for p in pushes])
@@ -159,6 +163,17 @@ def _evaluate(context: Context, breakaway: float, offset: float, pushes: list[Pu
         )
     dead_time = float(np.median([p.dead_time for p in pushes]))
     return FirstLook(breakaway, offset, coulomb, viscous, inertia, dead_time)
+
+
+def _load_stays(torque: float, reach: float, context: Context) -> MeasurementRejected:
+    """Something winds up and nothing behind it moves; `reach`: by how far, rad or m."""
+    return MeasurementRejected(
+        f"torques of up to {torque:.4g} {context.effort_unit} move the axis by no more than "
+        f"{reach:.3g} {context.position_unit}, where it stands under the torque: the motor winds "
+        "something up, and its load never moves",
+        code="measurement.load-stays",
+        hint="is it blocked, or at an end stop? Else raise --max-torque if the machine allows it",
+    )
 
 
 def _by_work(push: Push) -> float:
@@ -191,20 +206,23 @@ def _ramp(context: Context, direction: int) -> Plan[float]:
     limit = context.torque
     step = direction * limit / RAMP_TIME * context.cycle
     began, base, away = context.rest, begin, _AWAY * context.motion
+    since = sample.time
     while abs(torque) <= limit or torque * direction < 0:
-        previous, sample = sample, (yield torque)
+        sample = yield torque
         moved = (sample.position - begin) * direction
         further = (sample.position - base) * direction
         if further < _WOUND_UP / _AWAY * away:
-            began = sample.command
+            began, since = sample.command, sample.time
         elif further > away:
-            raised = max(_WINDING * abs(began - context.rest), _STEPS_TO_GO * abs(step))
-            if abs(torque - began) <= raised:  # it went at once
+            raised = abs(torque - began)
+            if raised <= _AT_ONCE * abs(step):
                 return began
-            if (yield from _goes_on(context, torque, direction, previous, sample)):
-                return torque
+            took = sample.time - since
+            if (yield from _goes_on(context, torque, direction, further, took, sample)):
+                return torque if raised > _WINDING * abs(began - context.rest) else began
             sample = yield torque
             base, away = sample.position, max(away, (sample.position - begin) * direction)
+            since = sample.time
         if moved < -context.motion:
             raise MeasurementRejected(
                 f"the axis moved {abs(moved):.3g} {context.position_unit} against a torque of "
@@ -214,6 +232,8 @@ def _ramp(context: Context, direction: int) -> Plan[float]:
                 hint="check the wiring and direction settings",
             )
         torque += step
+    if base != begin:
+        raise _load_stays(limit, abs(sample.position - begin), context)
     raise MeasurementRejected(
         f"no motion up to {limit:.4g} {context.effort_unit}: friction and load are above the "
         "torque limit, or the axis is blocked, or the brake is closed",
@@ -223,27 +243,30 @@ def _ramp(context: Context, direction: int) -> Plan[float]:
 
 
 def _goes_on(
-    context: Context, torque: float, direction: int, previous: Sample, first: Sample
+    context: Context, torque: float, direction: int, way: float, took: float, first: Sample
 ) -> Plan[bool]:
     """Whether motion goes on while the torque stays, or was the axis winding up.
 
-    Ends as soon as the axis runs away from its torque: what winds up does not become faster.
+    Ends as soon as the axis runs away from its torque: what winds up, by `way` in `took` s so far,
+    does not become much faster.
     """
 
     def speed(before: Sample, after: Sample) -> float:
         return (after.position - before.position) * direction / (after.time - before.time)
 
-    time, half = max(_GOES_ON, _FEWEST * context.cycle), None
-    at_first, sample = max(speed(previous, first), context.resolution / context.cycle), first
+    time = max(_GOES_ON, 2 * _FEWEST * context.cycle)
+    halves: tuple[list[float], list[float]] = ([], [])
+    at_first, sample = max(way / took, context.resolution / context.cycle), first
     while sample.time - first.time < time:
         before, sample = sample, (yield torque)
         moved = (sample.position - first.position) * direction
         fast = min(_FASTER * at_first, _FAST * context.speed)
         if moved > _FAR * context.travel or speed(before, sample) > fast:
             return True
-        if half is None and sample.time - first.time >= time / 2:
-            half = moved
-    return moved - (half or 0.0) > max(_KEEPS_ON * (half or 0.0), 0.5 * context.motion)
+        halves[sample.time - first.time > time / 2].append(moved)
+    early, late = (float(np.mean(half)) if half else 0.0 for half in halves)
+    # what rings has its mean, and creeps by little
+    return late - early > max(_KEEPS_ON * abs(early), _KEEPS_ON / 2 * way)
 
 
 def push(context: Context, offset: float, torque: float) -> Plan[Push]:
@@ -291,6 +314,7 @@ def push(context: Context, offset: float, torque: float) -> Plan[Push]:
         abs(torque) * (samples[switched].sent - began),
         still.time - began - dead_time,
         (last.position - begin.position) * direction,
+        max(abs(s.position - begin.position) for s in samples),
         max(_end_speed(up[-_FEWEST:], direction), 1e-12),
         still.time - end.time,
         (last.position - end.position) * direction,

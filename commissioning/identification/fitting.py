@@ -60,6 +60,7 @@ class Fit:
     held_out : the same on periods that were left out of the fit
     condition : of the scaled least-squares matrix
     halves : Coulomb friction of the odd and of the even periods, N.m or N
+    parts : inertia and Coulomb friction of the first and of the second half of the time
     widths : Coulomb friction from the wide windows alone and from the narrow ones alone, N.m or N
     instants : of the reversals, s
     lateness : median distance of the reversals from where the velocity is zero, as a share of a
@@ -74,6 +75,7 @@ class Fit:
     held_out: float
     condition: float
     halves: tuple[float, float]
+    parts: tuple[tuple[float, float], tuple[float, float]]
     widths: tuple[float, float]
     instants: Array
     lateness: float
@@ -93,6 +95,11 @@ class Fitter:
         at_rest: Array | None = None,
     ) -> None:
         instants, begins = reversals(record)
+        if not len(instants):
+            raise NotShown(
+                "the axis moves one way only, or not at all: friction cannot be told from the "
+                "offset; record the other direction, too"
+            )
         if len(instants) < _FEWEST_REVERSALS:
             raise NotShown(
                 f"the record has {len(instants)} velocity reversals; {_FEWEST_REVERSALS} are needed"
@@ -177,10 +184,18 @@ class Fitter:
             problem.held_out(periods),
             problem.condition,
             halves,
+            self._parts(problem),
             widths,
             motion.instants,
             motion.lateness / self.step,
         )
+
+    def _parts(self, problem: Problem) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Inertia and Coulomb friction by the windows of the first half, and of the second."""
+        early = self._windows.centre < self.record.time.mean()
+        solved = [problem.solve(part) for part in (early, ~early)]
+        first, second = ((float(one[0]), float(one[_COULOMB])) for one in solved)
+        return first, second
 
     def motion_of(self, fit: Fit) -> Motion:
         """The motion as a fit has it."""

@@ -48,7 +48,7 @@ _REACHED = 1.5  # of the slope that a sigmoid still has at the peak speed
 _LATE_INERTIA, _LATE_VISCOUS, _LATE = 3.0, 3.0, 1.0
 _A_LAW = 0.5  # of the torque that is left beyond the noise
 _LOADED = 0.004  # of J and f: a lag of the torque, where friction goes with it
-_STRIBECK = 0.02  # of f: the level that a curve goes down to, by a shape of three
+_STRIBECK = 0.035  # of f: the level that a curve goes down to, by a shape of three
 _SHAPE = 0.004  # of f: what a shape parameter that is searched for may take or give
 
 
@@ -211,7 +211,10 @@ def _systematic(fitter: Fitter, fit: Fit, peak: float, widths: float) -> _System
     if not fit.held_out < EXPLAINS:  # they make up for a law that is another
         late = fit.lateness
     loaded = _LOADED if law.load else 0.0
-    level = _STRIBECK if law.stribeck is not None else 0.0
+    level = 0.0
+    if law.stribeck is not None:  # and what the fastest speed still has of it
+        over = float(fit.coefficients[law.place("stribeck")]) / f
+        level = _STRIBECK + over * float(np.exp(-((peak / law.stribeck) ** law.exponent)))
     beyond = 0.0
     if law.soft is not None:  # a level that the speed does not reach is extrapolated
         beyond = min(_REACHED / float(np.cosh(min(peak / law.soft, 50.0))) ** 2, 0.25)

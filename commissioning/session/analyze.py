@@ -189,6 +189,7 @@ def _motion(
     units, watched = result.units, result.experiment
     assert watched is not None
     named = verdict.UnitNames(units.position, units.effort)
+    reasons += verdict.of_jumps(record, named)
     kinematics = refined_kinematics(record)
     oscillations = steady_oscillations(record, kinematics)
     two = pair(oscillations)

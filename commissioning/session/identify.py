@@ -18,7 +18,13 @@ from commissioning.identification.critical_point import (
 )
 from commissioning.identification.errors import words_of
 from commissioning.identification.reasons import Reason, Weight
-from commissioning.identification.verdict import dwell_share, is_unsigned, of_torque, torque_gain
+from commissioning.identification.verdict import (
+    dwell_share,
+    is_unsigned,
+    of_jumps,
+    of_torque,
+    torque_gain,
+)
 from commissioning.result.document import RunResult
 from commissioning.result.experiment import Bases, Experiment, FirstLookReading, Setup
 from commissioning.rig.armed import in_a_run
@@ -201,6 +207,7 @@ def _reasons(measured: Measured, samples: list[Sample], cycle: float) -> list[Re
             )
         )
     record, f = measured.record, measured.found.coulomb.value
+    reasons += of_jumps(record, measured.ready.units)
     inertia = measured.estimate("inertia")
     begin, end = record.time[0], record.time[-1]
     cut = [s for s in samples if begin <= s.time <= end]

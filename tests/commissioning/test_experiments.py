@@ -406,3 +406,59 @@ def test_every_method_has_its_name_its_reading_and_its_help() -> None:
     read = {method.name.replace("-", "_") for method in METHODS if method.read is not None}
     assert read | {"steady"} == {field.name for field in fields(Methods)}
     assert all(name.about for name in MethodName)
+
+
+def test_a_load_that_never_moves_is_said(run: Identify) -> None:
+    """The motor winds up a spring to a load that holds twice what the motor can."""
+    with pytest.raises(Failure) as failure:
+        run("virtual://bench?resonance=15&load_coulomb=2")
+    assert failure.value.error.code == "measurement.load-stays"
+    assert "its load never moves" in str(failure.value.error)
+
+
+def test_bristles_that_wind_up_are_measured(run: Identify) -> None:
+    """Dahl 1968: z₀ a tenth of the oscillation; breakaway is where motion goes on."""
+    result = run("virtual://bench?dahl=0.003")
+    looked = result["experiment"]["setup"]["first_look"]
+    assert looked["breakaway"] == pytest.approx(0.1, rel=0.25)
+    assert looked["inertia"] == pytest.approx(1e-3, rel=0.6)
+    coulomb = result["friction"]["coulomb"]
+    assert coulomb["low"] <= 0.1 <= coulomb["high"]
+
+
+@pytest.mark.parametrize("exponent", [0.5, 1, 2])
+def test_a_stribeck_curve_of_another_shape(run: Identify, exponent: float) -> None:
+    result = run(
+        f"virtual://bench?breakaway=0.15&stribeck=2&stribeck_exponent={exponent}&lag=0.0002"
+    )
+    coulomb = result["friction"]["coulomb"]
+    assert coulomb["low"] <= 0.1 <= coulomb["high"]
+
+
+def test_drag_and_drift_have_terms_of_their_own(run: Identify) -> None:
+    """Friction 0.1, drag of 0.03 N.m at 12 rad/s; friction that grows by 1 % a second."""
+    dragged = run("virtual://bench?drag=2e-4", travel=10.0)
+    assert "drag" in dragged["methods"]["modulating"]["law"]["terms"]
+    assert dragged["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.01)
+    assert dragged["quality"]["verdict"] == "good"
+    drifting = run("virtual://bench?drift=0.01&load=0")
+    watched = drifting["experiment"]
+    middle = sum(watched["analysed"]) / 2
+    coulomb = drifting["friction"]["coulomb"]
+    assert "drift" in drifting["methods"]["modulating"]["law"]["terms"]
+    # the drive was on for about half a second before
+    assert coulomb["value"] == pytest.approx(0.1 * (1 + 0.01 * middle), rel=0.01)
+
+
+def test_two_masses_have_the_number_of_the_balance(run: Identify) -> None:
+    """J 0.873e-3 and 0.188e-3, k 1.375 N.m/rad: modulating functions said 0.304 of 0.2292."""
+    j1, j2, k = 0.873e-3, 0.188e-3, 1.375
+    hertz = (k * (1 / j1 + 1 / j2)) ** 0.5 / (2 * np.pi)
+    result = run(
+        f"virtual://bench?inertia={j1 + j2}&ratio={j2 / j1}&resonance={hertz}&damping=0.037"
+        "&coulomb=0.2292&viscous=1e-3&rated=2&peak=6",
+        travel=10.0,
+    )
+    coulomb = result["friction"]["coulomb"]
+    assert coulomb["low"] <= 0.2292 <= coulomb["high"]
+    assert coulomb["value"] == pytest.approx(0.2292, rel=0.03)

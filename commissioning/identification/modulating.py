@@ -41,14 +41,17 @@ EXPLAINS = 0.03  # of the torque: a model that leaves more says nothing about re
 _EXPLAINED_BY_DRIFT = 0.02  # of the torque: what is left more is a change, and no drift
 _NEARLY_EXPLAINED = 5e-3  # of the torque: below, a small term is no make-up for another law
 _LINEAR: tuple[Rung, ...] = ("drift", "drag")
-_AS_GOOD = 1.5  # times the least held-out residual: a shape that the record does not tell apart
+_AS_GOOD = 1.2  # times the least held-out residual: a shape that the record does not tell apart
 _REACHED = 1.5  # of the slope that a sigmoid still has at the peak speed
 # what reversals that are late take or give, by their share of a period: a sign that is late is
 # friction in phase with the acceleration
 _LATE_INERTIA, _LATE_VISCOUS, _LATE = 3.0, 3.0, 1.0
 _A_LAW = 0.5  # of the torque that is left beyond the noise
 _LOADED = 0.004  # of J and f: a lag of the torque, where friction goes with it
-_STRIBECK = 0.035  # of f: the level that a curve goes down to, by a shape of three
+_STRIBECK = (
+    0.01,
+    0.07,
+)  # of f, and of what a Stribeck curve falls by: the level that it goes down to
 _SHAPE = 0.004  # of f: what a shape parameter that is searched for may take or give
 
 
@@ -141,13 +144,19 @@ def estimate(
             fit = fitter.with_rung(fit, rung) or fit
     found = _numbers(fitter, fit, rigid)
     # shapes that the record does not tell apart differ in what they say beyond its speeds
-    limit = _AS_GOOD * min(one.held_out for one in shapes)
-    alike = [found, *(_numbers(fitter, one, rigid) for one in shapes if one.held_out <= limit)]
+    limit = _AS_GOOD * min(_beyond_noise(fitter, one) for one in shapes)
+    others = [one for one in shapes if _beyond_noise(fitter, one) <= limit]
+    alike = [found, *(_numbers(fitter, one, rigid) for one in others)]
     return replace(
         found,
         coulomb=_spanning(found.coulomb, [one.coulomb for one in alike]),
         viscous=_spanning(found.viscous, [one.viscous for one in alike]),
     )
+
+
+def _beyond_noise(fitter: Fitter, fit: Fit) -> float:
+    """What is left on held-out periods beyond the noise of the resolution, of the torque."""
+    return sqrt(max(fit.held_out**2 - fitter.noise(fit) ** 2, 0.0))
 
 
 def _spanning(value: Estimate, others: list[Estimate]) -> Estimate:
@@ -206,7 +215,7 @@ def _systematic(fitter: Fitter, fit: Fit, peak: float, widths: float) -> _System
     swing = float(np.abs(fitter.record.command - fitter.record.command.mean()).mean())
     left = swing * fit.residual  # torque that no term explains, N.m or N
     # what is more than noise may be a law of its own, which takes a multiple of it
-    beyond_noise = swing * min(sqrt(max(fit.held_out**2 - fitter.noise(fit) ** 2, 0.0)), EXPLAINS)
+    beyond_noise = swing * min(_beyond_noise(fitter, fit), EXPLAINS)
     late = fit.lateness * fitter.step / fitter.period  # reversals off zero velocity, of a period
     if not fit.held_out < EXPLAINS:  # they make up for a law that is another
         late = fit.lateness
@@ -214,7 +223,8 @@ def _systematic(fitter: Fitter, fit: Fit, peak: float, widths: float) -> _System
     level = 0.0
     if law.stribeck is not None:  # and what the fastest speed still has of it
         over = float(fit.coefficients[law.place("stribeck")]) / f
-        level = _STRIBECK + over * float(np.exp(-((peak / law.stribeck) ** law.exponent)))
+        tail = float(np.exp(-((peak / law.stribeck) ** law.exponent)))
+        level = _STRIBECK[0] + over * (_STRIBECK[1] + tail)
     beyond = 0.0
     if law.soft is not None:  # a level that the speed does not reach is extrapolated
         beyond = min(_REACHED / float(np.cosh(min(peak / law.soft, 50.0))) ** 2, 0.25)

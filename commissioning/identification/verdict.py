@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from commissioning.identification.breaks import what_changed
 from commissioning.identification.estimate import Estimate
 from commissioning.identification.lock_in import LockIn
 from commissioning.identification.modulating import SUSPICIOUS, ModulatingEstimate
@@ -24,7 +25,6 @@ __all__ = [
     "balance_is_better",
     "dwell_share",
     "is_unsigned",
-    "of_jumps",
     "of_lock_in",
     "of_modulating",
     "of_preference",
@@ -47,8 +47,6 @@ _TORQUE_OFF = 0.08  # of the command
 _CONDITION = 200.0
 _FEW_PERIODS, _WHOLE = 6.0, 0.1  # what is cut off at both ends is no period less
 _MUCH_DRIFT = 0.1  # of the friction, over the record
-_ANOTHER = 0.1  # of the inertia: halves of a record that are not of one axis
-_JUMP, _JUMP_COUNTS, _MOST_JUMPS = 3.0, 20.0, 5  # times the usual step and speed
 _AGREE = 0.03  # of f
 # of f, by which the balance's harmonics may differ: where it is preferred, and where nothing else
 # is there; and what of that its interval holds
@@ -104,7 +102,7 @@ def of_modulating(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
             Weight.CONTRADICTION,
             f"the equation of motion leaves {100 * left:.0f} % of the torque unexplained: "
             + (
-                _of_parts(found, units)
+                what_changed(found.fit.parts, found.widths > _WIDTHS, units.effort)
                 or "the axis is elastic or has play, is moved by something else, or torque and "
                 "position do not belong together"
             ),
@@ -115,7 +113,7 @@ def of_modulating(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
             Weight.DOUBT,
             f"{100 * left:.1f} % of the torque is unexplained: "
             + (
-                _of_parts(found, units)
+                what_changed(found.fit.parts, found.widths > _WIDTHS, units.effort)
                 or "wide and narrow windows differ, so the axis is elastic or has play"
                 if found.widths > _WIDTHS
                 else "the friction is not Coulomb-like, or the axis is elastic"
@@ -129,69 +127,22 @@ def of_modulating(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
             "velocity: the friction law is incomplete, or the link too irregular for the period; a "
             "shorter --cycle or a longer period helps",
         )
+    return [*reasons, *_of_interval(f, e), *_of_record(found), *_of_law(found, units)]
+
+
+def _of_interval(f: Estimate, effort: str) -> list[Reason]:
+    """How wide it is."""
+    told = f"{f.low:.3g} … {f.high:.3g} {effort}"
     if f.half_width > _REJECTED_WIDTH:
-        add(
-            "interval.wide",
-            Weight.CONTRADICTION,
-            f"the interval of the friction, {f.low:.3g} … {f.high:.3g} {e}, is too wide to be of "
-            "use: give the axis more torque, travel or periods",
+        text = (
+            f"the interval of the friction, {told}, is too wide to be of use: give the axis more "
+            "torque, travel or periods"
         )
-    elif f.half_width > _WIDE:
-        add(
-            "interval.wide",
-            Weight.DOUBT,
-            f"the interval of the friction is wide: {f.low:.3g} … {f.high:.3g} {e}",
-        )
-    return reasons + _of_record(found) + _of_law(found, units)
-
-
-def _of_parts(found: ModulatingEstimate, units: UnitNames) -> str:
-    """What changed between the halves of a record, '' where nothing did.
-
-    A torque that is another one scales inertia and friction alike, a clock that runs off the
-    inertia alone; another axis has both of its own.
-    """
-    (j1, f1), (j2, f2) = found.fit.parts
-    if not min(j1, j2, f1, f2) > 0:
-        return ""
-    inertia, friction = j2 / j1, f2 / f1
-    if abs(inertia - 1) < _ANOTHER:
-        return ""
-    told = (
-        f"its second half shows an inertia {100 * (inertia - 1):+.0f} % and a friction "
-        f"{100 * (friction - 1):+.0f} % from the first half's "
-        f"({j1:.3g} → {j2:.3g}, {f1:.3g} → {f2:.3g} {units.effort})"
-    )
-    if abs(friction / inertia - 1) < _ANOTHER / 2:
-        return told + ": the torque is not the one that was commanded: does the drive limit it?"
-    if abs(friction - 1) < _ANOTHER / 2:
-        return told + ": does the clock of the record run off, or was a load put on?"
-    if found.widths > _WIDTHS:  # it is elastic, or has play
-        return ""
-    return told + ": a record of two axes, or an axis that was changed"
-
-
-def of_jumps(record: Record, units: UnitNames) -> list[Reason]:
-    """Steps of the position within one sample that no torque makes."""
-    steps = np.diff(record.position)
-    speeds = steps / np.diff(record.time)
-    usual = np.quantile(np.abs(steps), 0.99), np.quantile(np.abs(speeds), 0.99)
-    odd = (np.abs(steps) > _JUMP * usual[0]) & (np.abs(speeds) > _JUMP * usual[1])
-    at = np.flatnonzero(odd & (np.abs(steps) > _JUMP_COUNTS * record.resolution))
-    if not len(at) or len(at) > _MOST_JUMPS:
-        return []
-    k = int(at[0])
-    return [
-        Reason(
-            "position.jumps",
-            Weight.CONTRADICTION,
-            f"the position jumps by {steps[k]:+.3g} {units.position} at "
-            f"{record.time[k] - record.time[0]:.3g} s of the record"
-            + (f", and {len(at) - 1} times more" if len(at) > 1 else "")
-            + ", which no torque does: a belt or coupling that slipped, or an encoder that lost "
-            "counts",
-        )
-    ]
+        return [Reason("interval.wide", Weight.CONTRADICTION, text)]
+    if f.half_width > _WIDE:
+        text = f"the interval of the friction is wide: {told}"
+        return [Reason("interval.wide", Weight.DOUBT, text)]
+    return []
 
 
 def _of_record(found: ModulatingEstimate) -> list[Reason]:

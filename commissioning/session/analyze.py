@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from commissioning.ending import begun, ended, failed
 from commissioning.errors import MeasurementRejected
 from commissioning.identification import verdict
+from commissioning.identification.breaks import of_jumps
 from commissioning.identification.errors import words_of
 from commissioning.identification.lock_in import LockIn, lock_in, phasors
 from commissioning.identification.modulating import (
@@ -189,7 +190,7 @@ def _motion(
     units, watched = result.units, result.experiment
     assert watched is not None
     named = verdict.UnitNames(units.position, units.effort)
-    reasons += verdict.of_jumps(record, named)
+    reasons += of_jumps(record, units.position)
     kinematics = refined_kinematics(record)
     oscillations = steady_oscillations(record, kinematics)
     two = pair(oscillations)

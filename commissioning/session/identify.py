@@ -11,6 +11,7 @@ import numpy as np
 from commissioning.desk import Desk, Options
 from commissioning.errors import MeasurementRejected
 from commissioning.experiments.design import LONG
+from commissioning.identification.breaks import of_jumps
 from commissioning.identification.critical_point import (
     CriticalPoint,
     corrected,
@@ -21,7 +22,6 @@ from commissioning.identification.reasons import Reason, Weight
 from commissioning.identification.verdict import (
     dwell_share,
     is_unsigned,
-    of_jumps,
     of_torque,
     torque_gain,
 )
@@ -207,7 +207,7 @@ def _reasons(measured: Measured, samples: list[Sample], cycle: float) -> list[Re
             )
         )
     record, f = measured.record, measured.found.coulomb.value
-    reasons += of_jumps(record, measured.ready.units)
+    reasons += of_jumps(record, measured.ready.units.position)
     inertia = measured.estimate("inertia")
     begin, end = record.time[0], record.time[-1]
     cut = [s for s in samples if begin <= s.time <= end]

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from commissioning.identification.breaks import of_jumps
 from commissioning.identification.errors import NotShown, words_of
 from commissioning.identification.modulating import estimate
 from commissioning.identification.reasons import Reason, Weight, verdict
 from commissioning.identification.record import Record
-from commissioning.identification.verdict import UnitNames, of_jumps, of_modulating
+from commissioning.identification.verdict import UnitNames, of_modulating
 from tests.identification.spoiled import changed, relay_tests
 
 
@@ -20,7 +21,7 @@ def good() -> Record:
 
 def judged(record: Record) -> list[Reason]:
     return [
-        *of_modulating(estimate(record), UnitNames()), *of_jumps(record, UnitNames()),
+        *of_modulating(estimate(record), UnitNames()), *of_jumps(record, "rad"),
     ]  # fmt: skip
 
 
@@ -43,7 +44,7 @@ def joined(first: Record, second: Record) -> Record:
 
 
 def test_a_sound_record_has_none_of_it(good: Record) -> None:
-    assert of_jumps(good, UnitNames()) == []
+    assert of_jumps(good, "rad") == []
     (j1, f1), (j2, f2) = estimate(good).fit.parts
     assert j1 == pytest.approx(1e-3, rel=0.02)
     assert j2 == pytest.approx(1e-3, rel=0.02)
@@ -79,7 +80,7 @@ def test_a_belt_that_jumps_a_tooth(good: Record, share: float) -> None:
     """0.1 rad, at once, while the axis goes on."""
     k = int(share * len(good.time))
     jumped = good.position + 0.1 * (np.arange(len(good.time)) > k)
-    reasons = of_jumps(changed(good, position=jumped), UnitNames())
+    reasons = of_jumps(changed(good, position=jumped), "rad")
     assert [reason.code for reason in reasons] == ["position.jumps"]
     assert reasons[0].weight is Weight.CONTRADICTION
     step = jumped[k + 1] - jumped[k]
@@ -93,7 +94,7 @@ def test_samples_that_were_lost_are_no_jump(good: Record) -> None:
     record = Record.of(
         good.time[keep], good.position[keep], good.sent, good.command, good.resolution
     )
-    assert of_jumps(record, UnitNames()) == []
+    assert of_jumps(record, "rad") == []
 
 
 def test_one_direction_only() -> None:

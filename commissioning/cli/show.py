@@ -91,7 +91,7 @@ def points(result: RunResult, screen: Screen) -> None:
                 + (f" ± {turned - point.phase_deg:.1f}°" if turned is not None else ""),
                 f"{1000 * point.period:.4g} ms",
                 number(point.ku)
-                + (f" ({number(point.ku_low)} … {number(point.ku_high)})" if point.ku_low else ""),
+                + (f" ± {high - ku:.1g}" if (high := point.ku_high) and (ku := point.ku) else ""),
             ]
         )
     units = result.units

@@ -6,6 +6,8 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 CASES ?= 12000
 SEED ?=
+# as many processes as processors are at work: threads of numpy's beside them only get in the way
+export OPENBLAS_NUM_THREADS := 1
 PART ?= 1/1
 
 .PHONY: demo demo-fleet test check coverage mutants mutants-afresh platforms bench accuracy fuzz faults faults-long habits kills machine-faults fleet-faults twins limits format lint types imports lock clean

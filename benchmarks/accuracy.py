@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as many processes as processors are at work
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))
 

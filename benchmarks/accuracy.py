@@ -369,7 +369,7 @@ def table(seed: int, outcomes: list[Outcome], axes: int) -> list[str]:
     lines = [
         "# Accuracy",
         "",
-        f"Written by `make accuracy SEED={seed}`: {axes} random axes of every class ({len(outcomes)} in all), each",
+        f"Written by `AXES={axes} make accuracy SEED={seed}`: {axes} random axes of every class ({len(outcomes)} in all), each",
         "measured as a technician would, friction and all else unknown. The seed was drawn by the program.",
         "Errors in per cent of the truth (offset: of the friction), median / 95 % / worst, of what was given.",
         "Torque and friction are in units of the commanded torque. `lies`: `good` results off by more than 3 %.",

@@ -31,6 +31,7 @@ import numpy as np  # noqa: E402
 
 from benchmarks.bound import coulomb_bound  # noqa: E402
 from benchmarks.classes import CLASSES, RIGID, Case, case  # noqa: E402
+from benchmarks.critical_point import compared, plant_of  # noqa: E402
 from benchmarks.methods import idim_numbers, swept  # noqa: E402
 from commissioning.desk import Desk, Options  # noqa: E402
 from commissioning.identification.modulating import estimate  # noqa: E402
@@ -227,16 +228,9 @@ def bound_of(axis: VirtualAxis, record: Record, f: float) -> float:
 
 
 def against_plant(point: Point, axis: VirtualAxis) -> tuple[float, float, bool | None]:
-    """Errors of gain (%) and phase (°) at the point's frequency, or, of a point at a phase, there."""
-    w = 2 * math.pi / point.period
-    truth = plant_of(axis, w)
-    gain = 100 * (point.gain / abs(truth) - 1)
-    turned = (point.phase_deg - math.degrees(cmath.phase(truth)) + 180) % 360 - 180
-    covered = None
-    if point.gain_low is not None and point.gain_high is not None:
-        allowed = (point.phase_high_deg or point.phase_deg) - point.phase_deg
-        covered = bool(point.gain_low <= abs(truth) <= point.gain_high and abs(turned) <= allowed)
-    return gain, turned, covered
+    """Errors of gain (%) and phase (°) at the point's own frequency, and whether it is covered."""
+    gain, turned, _, covered = compared(point, axis)
+    return gain, turned, None if covered is None else bool(covered)
 
 
 def ku_of(axis: VirtualAxis, near: float) -> float | None:
@@ -249,20 +243,6 @@ def ku_of(axis: VirtualAxis, near: float) -> float | None:
         return None
     at = crossed[np.argmin(np.abs(np.log(w[crossed] / near)))]
     return 1 / abs(plant_of(axis, float(w[at])))
-
-
-def plant_of(axis: VirtualAxis, w: float) -> complex:
-    """The virtual axis between torque in force and position at ω, rad/s, friction left out."""
-    s = 1j * w
-    late = cmath.exp(-s * axis.delay) / (1 + s * axis.lag)
-    if not axis.resonance:
-        return late / (axis.inertia * s * s + axis.viscous * s)
-    load = axis.inertia * axis.ratio / (1 + axis.ratio)
-    motor = axis.inertia - load
-    resonance = 2 * math.pi * axis.resonance
-    reduced = motor * load / axis.inertia
-    spring = reduced * resonance**2 + 2 * axis.damping * reduced * resonance * s
-    return late / (motor * s * s + axis.viscous * s + spring - spring**2 / (load * s * s + spring))
 
 
 # -- the campaign -------------------------------------------------------------------------------------

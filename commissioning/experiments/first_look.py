@@ -217,7 +217,7 @@ def _ramp(context: Context, direction: int) -> Plan[float]:
             raised = abs(torque - began)
             if raised <= _AT_ONCE * abs(step):
                 return began
-            took = sample.time - since
+            took = max(sample.time - since, context.cycle)
             if (yield from _goes_on(context, torque, direction, further, took, sample)):
                 return torque if raised > _WINDING * abs(began - context.rest) else began
             sample = yield torque
@@ -252,7 +252,8 @@ def _goes_on(
     """
 
     def speed(before: Sample, after: Sample) -> float:
-        return (after.position - before.position) * direction / (after.time - before.time)
+        elapsed = after.time - before.time
+        return (after.position - before.position) * direction / elapsed if elapsed > 0 else 0.0
 
     time = max(_GOES_ON, 2 * _FEWEST * context.cycle)
     halves: tuple[list[float], list[float]] = ([], [])

@@ -86,7 +86,9 @@ def found_of(repeats: Sequence[Measured], units: Units, raw: Raw) -> Found:
         if len(known) == len(repeats):
             mean = _mean(known)
             numbers[name] = quantity(mean, units.of_quantity(name), raw(name, mean.value))
-    fits = [one.modulating for one in repeats if one.modulating is not None]
+    # a law that does not explain the record says nothing of the curve
+    told = [one.modulating for one in repeats if one.preferred is None]
+    fits = [one for one in told if one is not None]
     curve = low_speed = None
     if len(fits) == len(repeats):
         curve = curve_of(fits, fits[-1].peak_speed)

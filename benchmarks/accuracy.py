@@ -416,4 +416,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:
+        sys.exit("accuracy: stopped; what is known is kept, and the next call goes on from there")

@@ -190,7 +190,9 @@ def _motion(
     units, watched = result.units, result.experiment
     assert watched is not None
     named = verdict.UnitNames(units.position, units.effort)
-    reasons += of_jumps(record, units.position)
+    jumps = of_jumps(record, units.position)
+    if jumps:  # whatever else it shows comes of that
+        return judged(result, [*reasons, *jumps])
     kinematics = refined_kinematics(record)
     oscillations = steady_oscillations(record, kinematics)
     two = pair(oscillations)

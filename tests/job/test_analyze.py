@@ -313,3 +313,15 @@ def test_files_that_are_no_recording(
     assert done.returncode == 2, done.stderr
     assert words in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_belt_that_jumps_a_tooth_is_the_one_reason(
+    tworelay: Tworelay, tmp_path: Path, rows: list[list[float]]
+) -> None:
+    """Not a record of two axes, which its halves look like."""
+    half = len(rows) // 2
+    jumped = [[t, y + (0.1 if n > half else 0.0), u] for n, (t, y, u) in enumerate(rows)]
+    done = tworelay("analyze", written(tmp_path / "axis.csv", HEADER, jumped))
+    assert done.returncode == 6
+    assert "the position jumps by" in done.stderr
+    assert "two axes" not in done.stderr

@@ -40,6 +40,7 @@ class Options:
     duration: float | None = None
     fraction: float = 0.85
     method: str = "auto"
+    precision: float = 0.01
     solver: str = "bracket"
     repeat: int = 1
     points: bool = False

@@ -171,12 +171,12 @@ class RunFolder:
             samples = self.samples()
             if samples is not None and len(samples):
                 watched = result.experiment
-                analysed = watched.analysed if watched else None
+                analysed = watched.analysed if watched else ()
                 write_csv(target / "samples.csv", samples, result.units, analysed=analysed)
                 if watched and watched.cycles:
                     begin, end = watched.cycles[0].begin, watched.cycles[-1].end
                     if analysed:
-                        begin, end = min(begin, analysed[0]), max(end, analysed[1])
+                        begin, end = min(begin, analysed[0][0]), max(end, analysed[-1][1])
                     begin -= watched.cycles[0].period  # commands before it act in it, too
                     write_csv(
                         target / "oscillations.csv", samples, result.units, (begin, end), analysed

@@ -8,6 +8,7 @@ import json
 import math
 import zipfile
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -158,7 +159,7 @@ def write_csv(
     samples: Samples,
     units: Units,
     span: tuple[float, float] | None = None,
-    analysed: tuple[float, float] | None = None,
+    analysed: Sequence[tuple[float, float]] = (),
 ) -> None:
     """All samples, or those between two instants (s) of the run.
 
@@ -173,9 +174,10 @@ def write_csv(
     ]  # fmt: skip
     since = samples.time - (samples.sent[0] if len(samples) else 0.0)
     columns = [samples[name] for name in _COLUMNS]
-    if analysed is not None:
+    if analysed:
         header.append("analysed")
-        columns.append(((since >= analysed[0]) & (since <= analysed[1])).astype(int))
+        inside = [(since >= begin) & (since <= end) for begin, end in analysed]
+        columns.append(np.any(inside, axis=0).astype(int))
     file = io.StringIO(newline="")
     writer = csv.writer(file)
     writer.writerow(header)

@@ -34,7 +34,15 @@ __all__ = ["command"]
 @click.option(
     "--method",
     type=click.Choice(
-        [MethodName.AUTO.value, MethodName.MODULATING.value, MethodName.LOCK_IN.value]
+        [
+            name.value
+            for name in (
+                MethodName.AUTO,
+                MethodName.OUTPUT_ERROR,
+                MethodName.MODULATING,
+                MethodName.LOCK_IN,
+            )
+        ]
     ),
     default="auto",
     show_default=True,
@@ -70,8 +78,9 @@ def command(
 ) -> None:
     """Friction from a recording: CSV with a header, or .mat. Nothing is moved.
 
-    Two steady oscillations of one period are read by the exact harmonic balance and by modulating
-    functions, any other motion by the latter.
+    Oscillations are read by output error where a law explains their positions; else two steady
+    ones of one period by the exact harmonic balance and by modulating functions, any other motion
+    by the latter.
     """
     from commissioning.cli import show
     from commissioning.rig.results import Rejected

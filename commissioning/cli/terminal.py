@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import sys
 from collections.abc import Callable, Container, Generator, Mapping
 from dataclasses import dataclass, fields
@@ -242,6 +243,11 @@ _JOB_OPTIONS = [
         help="; ".join(f"{name}: {name.about}" for name in MethodName) + ".",
     ),
     click.option(
+        "--precision", default="1%", show_default=True, metavar="P",
+        help="Interval of the friction, either way, at which a measurement is long enough: a share "
+        "or per cent; auto and output-error go on from 4 to at most 12 periods.",
+    ),
+    click.option(
         "--solver", type=click.Choice(["bracket", "thesis"]), default="bracket", show_default=True,
         help="Search for equal periods: bracketing secant, or the rules (4.21), (4.25) of the "
         "thesis.",
@@ -283,6 +289,18 @@ _JOB_OPTIONS = [
 ]  # fmt: skip
 
 
+def share_from(text: str, name: str) -> float:
+    """A share: '1%', '0,5 %' or 0.01; raises UsageError."""
+    number = text.strip().replace(",", ".")
+    try:
+        value = float(number.removesuffix("%")) / (100 if number.endswith("%") else 1)
+    except ValueError:
+        value = math.nan
+    if not 0 < value <= 1:
+        raise UsageError(f"{name} {text}: a share of 0 to 1, or per cent up to 100 %, as in '1%'")
+    return value
+
+
 @dataclass(frozen=True, slots=True)
 class Job:
     """What the user asks of a measurement, as the command line has it."""
@@ -294,6 +312,7 @@ class Job:
     duration: float | None
     fraction: float
     method: str
+    precision: str
     solver: str
     repeat: int
     points: bool
@@ -316,8 +335,9 @@ class Job:
         """The job's options; raises UsageError."""
         return Options(
             travel_from(self.travel), self.max_torque, self.max_speed, self.duration, self.fraction,
-            self.method, self.solver, self.repeat, self.points, self.output_filter, self.cycle,
-            self.without_watchdog, self.dry_run, motor_temperature=self.motor_temperature,
+            self.method, share_from(self.precision, "--precision"), self.solver, self.repeat,
+            self.points, self.output_filter, self.cycle, self.without_watchdog, self.dry_run,
+            motor_temperature=self.motor_temperature,
         )  # fmt: skip
 
     def axis(self, target: str) -> Axis:

@@ -70,6 +70,7 @@ def oscillations(
     *,
     wave: Wave = "square",
     knob: float | None = None,
+    staged: bool = True,
     period: float | None = None,
 ) -> Plan[Oscillations]:
     """From rest: relay, then the oscillator at the relay's period; raises MeasurementRejected.
@@ -78,6 +79,7 @@ def oscillations(
     ----------
     relay_periods : how many, staging included
     knob : hysteresis to begin with, where an earlier record knows it, rad or m
+    staged : whether the hysteresis grows from there, as far as the design has room
     period : of the oscillator, s; None: the relay's
     """
     context.tell(f"relay at ±{design.d1:.4g} {context.effort_unit}: finds a period")
@@ -87,7 +89,7 @@ def oscillations(
     relay = Relay(design.d1, knob or _FIRST_KNOB * goal, centre, context.cycle, design.bias)
     begin = sample.time
     sample, cycle, span = yield from _find_period(
-        context, relay, design, known, sample, relay_periods, staged=knob is None
+        context, relay, design, known, sample, relay_periods, staged=staged
     )
     half = max(round((period or cycle.period) / (2 * context.cycle)), 4)
     held: list[Held] = []

@@ -8,7 +8,7 @@ from __future__ import annotations
 from cmath import phase, rect
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import cos, degrees, exp, hypot, log, pi, radians, sin, sqrt
+from math import atan, cos, degrees, exp, hypot, inf, log, pi, radians, sin, sqrt
 
 from commissioning.identification.describing_function import equivalent, relay
 from commissioning.identification.estimate import Estimate
@@ -16,6 +16,7 @@ from commissioning.identification.limit_cycle import LimitCycle
 
 __all__ = [
     "CriticalPoint",
+    "Lag",
     "at_its_phase",
     "at_phase",
     "autotuned",
@@ -77,17 +78,42 @@ def corrected(cycle: LimitCycle, complex_coulomb: complex) -> CriticalPoint:
     return _point(-1 / complex(n), cycle.period)
 
 
+@dataclass(frozen=True, slots=True)
+class Lag:
+    """What of a dead time is a lag of the torque, 1/(1 + s·T).
+
+    Attributes
+    ----------
+    time_constant : T, s
+    period : of the oscillation at which the dead time delays as much as both, s
+    """
+
+    time_constant: float = 0.0
+    period: float = inf
+
+    def response(self, dead_time: float, w: float) -> tuple[float, float]:
+        """Gain, and phase in rad, of the torque at `w` rad/s."""
+        lag, at = self.time_constant, 2 * pi / self.period
+        pure = dead_time - (atan(at * lag) / at if at else lag)
+        return 1 / hypot(1, w * lag), -w * pure - atan(w * lag)
+
+
+_NO_LAG = Lag()
+
+
 def from_model(
-    inertia: Estimate, viscous: Estimate, dead_time: Estimate, period: float
+    inertia: Estimate, viscous: Estimate, dead_time: Estimate, period: float, lag: Lag = _NO_LAG
 ) -> CriticalPoint:
     """The point of the identified rigid axis, e^(−jωτ)/(−J·ω² + j·ω·B), at a period, s."""
     w = 2 * pi / period
     known = (inertia, viscous, dead_time)
-    gain, turned = _rigid([e.value for e in known], w)
+    gain, turned = _rigid([e.value for e in known], w, lag)
     by_gain = by_phase = 0.0
     for which in range(len(known)):
         ends = [
-            _rigid([getattr(e, end if n == which else "value") for n, e in enumerate(known)], w)
+            _rigid(
+                [getattr(e, end if n == which else "value") for n, e in enumerate(known)], w, lag
+            )
             for end in ("low", "high")
         ]
         by_gain += max(abs(other / gain - 1) for other, _ in ends) ** 2
@@ -95,18 +121,23 @@ def from_model(
     return CriticalPoint(gain, turned % -360, period, sqrt(by_gain), sqrt(by_phase))
 
 
-def _rigid(axis: Sequence[float], w: float) -> tuple[float, float]:
+def _rigid(axis: Sequence[float], w: float, lag: Lag) -> tuple[float, float]:
     """Gain, rad/(N.m) or m/N, and phase, degrees, of a rigid axis at `w` rad/s.
 
     `axis` : inertia, viscous friction, dead time.
     """
     inertia, viscous, dead_time = axis
     stiffness = complex(-inertia * w * w, max(viscous, 0.0) * w)
-    return 1 / abs(stiffness), -degrees(phase(stiffness)) - degrees(w * dead_time)
+    gain, turned = lag.response(dead_time, w)
+    return gain / abs(stiffness), degrees(turned - phase(stiffness))
 
 
 def at_phase(
-    inertia: Estimate, viscous: Estimate, dead_time: Estimate, phase_deg: float
+    inertia: Estimate,
+    viscous: Estimate,
+    dead_time: Estimate,
+    phase_deg: float,
+    lag: Lag = _NO_LAG,
 ) -> CriticalPoint | None:
     """The point of the identified rigid axis at a phase in (−270, −90)°, None where it has none.
 
@@ -114,15 +145,15 @@ def at_phase(
     friction there is nothing above −180°, without dead time nothing from there on. The gain's
     interval is of where the phase is truly that (`at_its_phase`).
     """
-    w = _where((inertia.value, viscous.value, dead_time.value), phase_deg)
+    w = _where((inertia.value, viscous.value, dead_time.value), phase_deg, lag)
     if w is None:
         return None
-    point = from_model(inertia, viscous, dead_time, 2 * pi / w)
-    return at_its_phase(point, inertia.value, viscous.value, dead_time.value)
+    point = from_model(inertia, viscous, dead_time, 2 * pi / w, lag)
+    return at_its_phase(point, inertia.value, viscous.value, dead_time.value, lag)
 
 
 def at_its_phase(
-    point: CriticalPoint, inertia: float, viscous: float, dead_time: float
+    point: CriticalPoint, inertia: float, viscous: float, dead_time: float, lag: Lag = _NO_LAG
 ) -> CriticalPoint:
     """The point with an interval of the gain where the phase is truly the one that it says.
 
@@ -134,15 +165,15 @@ def at_its_phase(
     axis = inertia, viscous, dead_time
     gains = []
     for off in (0.0, -point.phase_error, point.phase_error):
-        w = _where(axis, point.phase_deg + off)
+        w = _where(axis, point.phase_deg + off, lag)
         if w is None:
             return replace(point, gain_error=None)
-        gains.append(_rigid(axis, w)[0])
+        gains.append(_rigid(axis, w, lag)[0])
     moved = max(abs(gain / gains[0] - 1) for gain in gains[1:])
     return replace(point, gain_error=hypot(point.gain_error, moved))
 
 
-def _where(axis: tuple[float, float, float], phase_deg: float) -> float | None:
+def _where(axis: tuple[float, float, float], phase_deg: float, lag: Lag) -> float | None:
     """Frequency, rad/s, at which a rigid axis has a phase; None: it has none."""
     j, b, tau = axis
     if not b > 0 or (phase_deg <= -180 and not tau > 0):
@@ -151,7 +182,7 @@ def _where(axis: tuple[float, float, float], phase_deg: float) -> float | None:
 
     try:
         found = brentq(  # in the logarithm: the range is as wide as axes are different
-            lambda x: _rigid(axis, exp(x))[1] - phase_deg, log(1e-6 * b / j), log(1e6 * b / j)
+            lambda x: _rigid(axis, exp(x), lag)[1] - phase_deg, log(1e-6 * b / j), log(1e6 * b / j)
         )
     except ValueError:  # beyond any frequency that an axis has
         return None

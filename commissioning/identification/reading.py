@@ -15,8 +15,9 @@ friction.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import pi
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +26,14 @@ from commissioning.identification.critical_point import CriticalPoint, of_plant
 from commissioning.identification.errors import NotShown
 from commissioning.identification.estimate import Estimate
 from commissioning.identification.fitting import friction_in
+from commissioning.identification.friction_laws import Law
 from commissioning.identification.lock_in import LockIn, Phasors
-from commissioning.identification.modulating import ModulatingEstimate
-from commissioning.identification.motion import Motion
+from commissioning.identification.modulating import EXPLAINS, ModulatingEstimate
+from commissioning.identification.motion import Model, Motion
+from commissioning.identification.output_error import OutputErrorEstimate
 from commissioning.identification.record import Record, reversals
 
-__all__ = ["Reader", "by_balance"]
+__all__ = ["Explained", "Reader", "by_balance"]
 
 Complex = NDArray[np.complex128]
 
@@ -40,21 +43,71 @@ _LEAST_ERROR = 2e-3  # of the gain, and in rad: edges of the periods, instants o
 _FIRST = np.array([1])
 
 
+@dataclass(frozen=True, slots=True)
+class Explained:
+    """A friction law that explains an axis, whichever method found it.
+
+    Attributes
+    ----------
+    law, coefficients : of friction, the Coulomb one first, N.m or N
+    model : of the rest
+    instants : of reversals that are known, s
+    coulomb, dead_time : with their intervals
+    left : share of the torque that is not explained
+    """
+
+    law: Law
+    coefficients: NDArray[np.float64]
+    model: Model
+    instants: NDArray[np.float64]
+    coulomb: Estimate
+    dead_time: Estimate
+    left: float
+
+    @classmethod
+    def of(cls, found: ModulatingEstimate | OutputErrorEstimate | None) -> Self | None:
+        """By what a method found; None where that explains nothing, or no inertia."""
+        if found is None or not found.inertia.low > 0:
+            return None
+        if isinstance(found, ModulatingEstimate):
+            fit = found.fit
+            if not found.held_out < EXPLAINS:
+                return None
+            return cls(
+                fit.law, fit.coefficients, fit.model, fit.instants, found.coulomb, found.dead_time,
+                found.held_out,
+            )  # fmt: skip
+        if not found.is_explained:
+            return None
+        law = Law(**{term: True for term in ("load", "drag", "drift") if term in found.terms})
+        sizes = [found.coulomb.value, *(found.size(rung) for rung in _in_their_order(law))]
+        if law.drift:  # of a level that is relative here, absolute there
+            sizes[law.place("drift")] *= found.coulomb.value
+        model = Model(
+            found.inertia.value, found.viscous.value, found.offset.value, found.dead_time.value
+        )
+        return cls(law, np.array(sizes), model, np.array([]), found.coulomb, found.dead_time, 0.0)
+
+
+def _in_their_order(law: Law) -> list[Any]:
+    return sorted(law.rungs, key=law.place)
+
+
 class Reader:
-    """One record under the friction law of `found`, which may come from another record.
+    """One record under a friction law, which may come from another record.
 
     Raises ValueError for a record without enough reversals.
     """
 
-    def __init__(self, record: Record, found: ModulatingEstimate, period: float) -> None:
+    def __init__(self, record: Record, found: Explained, period: float) -> None:
         instants, begins = reversals(record)
         if len(instants) < 2:
             raise NotShown(f"the oscillation has {len(instants)} velocity reversals")
         self._found = found
-        self._model = found.fit.model
-        self._friction = friction_in(found.fit.law, found.fit.coefficients)
+        self._model = found.model
+        self._friction = friction_in(found.law, found.coefficients)
         self._step = float(np.median(np.diff(record.time)))
-        fitted = found.fit.instants  # of the record that the law was found in they are known better
+        fitted = found.instants  # of the record that the law was found in they are known better
         if len(fitted) == len(instants) and np.all(np.abs(fitted - instants) < 2 * self._step):
             instants = fitted
         self._motion = Motion(record, instants, begins, period)
@@ -82,7 +135,7 @@ class Reader:
         turn = np.exp(-1j * w * model.dead_time)
         driving = torque - braking - edges
         share = float(np.mean(np.abs(braking)) / np.mean(np.abs(driving)))
-        systematic = _LEAST_ERROR + share * _half(found.coulomb) + 0.5 * found.held_out
+        systematic = _LEAST_ERROR + share * _half(found.coulomb) + 0.5 * found.left
         delay = w * (found.dead_time.high - found.dead_time.low) / 2
         turned = float(np.hypot(systematic, delay))
         return _point(turn * position, driving, period, systematic, turned)

@@ -15,21 +15,18 @@ from commissioning.identification.breaks import what_changed
 from commissioning.identification.estimate import Estimate
 from commissioning.identification.lock_in import LockIn
 from commissioning.identification.modulating import SUSPICIOUS, ModulatingEstimate
+from commissioning.identification.output_error import OutputErrorEstimate
 from commissioning.identification.reasons import Reason, Weight
-from commissioning.identification.record import Record, reversals
 
 __all__ = [
     "UnitNames",
     "agreement",
     "as_wide_as_its_harmonics",
     "balance_is_better",
-    "dwell_share",
-    "is_unsigned",
     "of_lock_in",
     "of_modulating",
+    "of_output_error",
     "of_preference",
-    "of_torque",
-    "torque_gain",
     "within_short",
 ]
 
@@ -40,10 +37,8 @@ _HALVES, _WIDTHS, _LEFT = 0.02, 0.05, 0.012
 _BEYOND_NOISE = 1.5  # times what the resolution leaves
 
 _REJECTED_LEFT = 0.12  # of the torque unexplained
+_REJECTED_MISFIT = 0.25  # of the friction
 _WIDE, _REJECTED_WIDTH = 0.04, 0.3  # half of f's interval, of f
-_COARSE, _TOO_COARSE = 150, 30  # counts of half-swing
-_DWELL, _MUCH_DWELL = 0.02, 0.15  # of the time
-_TORQUE_OFF = 0.08  # of the command
 _CONDITION = 200.0
 _FEW_PERIODS, _WHOLE = 6.0, 0.1  # what is cut off at both ends is no period less
 _MUCH_DRIFT = 0.1  # of the friction, over the record
@@ -210,13 +205,7 @@ def _of_law(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
             "with the sign; compensation by the sign alone does too much at low speed",
         )
     if law.load:
-        c = float(found.coefficients[law.place("load")])
-        add(
-            "law.load",
-            Weight.NOTE,
-            f"friction grows with the torque, by {100 * c:.1f} % of it: the level is that without "
-            "load",
-        )
+        reasons.append(_of_load(float(found.coefficients[law.place("load")])))
     reasons += _of_small_terms(found, units)
     if law.position is not None:
         size = float(np.hypot(*found.coefficients[-2:]))
@@ -231,31 +220,111 @@ def _of_law(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
 
 def _of_small_terms(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
     """What the terms beside friction say: drag, and drift."""
-    reasons = []
-    e, p, law = units.effort, units.position, found.law
+    reasons, law = [], found.law
     if law.drag:
         c = float(found.coefficients[law.place("drag")])
-        reasons.append(
-            Reason(
-                "law.drag",
-                Weight.NOTE,
-                f"drag: a torque that grows with the square of the speed, {c:.3g} {e}·s²/{p}² or "
-                f"{c * found.peak_speed**2:.3g} {e} at the fastest; the friction is that without "
-                "it",
-            )
-        )
+        reasons.append(_of_drag(c, found.peak_speed, units))
     if law.drift:
         rate = float(found.coefficients[law.place("drift")]) / found.coulomb.value
-        changed = abs(rate) * found.seconds
+        reasons.append(_of_drift(rate, found.seconds))
+    return reasons
+
+
+def _of_drift(rate: float, seconds: float) -> Reason:
+    """Friction that changes by a share of itself a second."""
+    changed = abs(rate) * seconds
+    return Reason(
+        "law.drift",
+        Weight.DOUBT if changed > _MUCH_DRIFT else Weight.NOTE,
+        f"friction changed by {100 * rate:+.2f} % a second while it was measured, "
+        f"{100 * changed:.1f} % in all: the number is the mean over the record",
+    )
+
+
+def of_output_error(found: OutputErrorEstimate, wanted: float, units: UnitNames) -> list[Reason]:
+    """Reasons that output error gives; `wanted`: half of the interval, of the friction."""
+    reasons: list[Reason] = []
+    f, e = found.coulomb, units.effort
+
+    def add(code: str, weight: Weight, text: str) -> None:
+        reasons.append(Reason(code, weight, text))
+
+    if not f.high > 0 or not found.inertia.high > 0:
+        add(
+            "fit.impossible",
+            Weight.CONTRADICTION,
+            f"the fit gives a friction of {f.value:.3g} {e} and an inertia of "
+            f"{found.inertia.value:.3g}: no axis moves like this; is the torque's sign or unit "
+            "wrong?",
+        )
+        return reasons
+    if not found.is_explained:
+        add(
+            "positions.unexplained",
+            Weight.CONTRADICTION if found.misfit > _REJECTED_MISFIT else Weight.DOUBT,
+            f"a rigid axis leaves {100 * found.misfit:.2g} % of the friction unexplained in the "
+            "positions: the axis is elastic, or its friction is of another kind (--method auto "
+            "looks for it)",
+        )
+    if found.is_explained and _WIDE >= f.half_width > wanted:
+        add(
+            "interval.asked",
+            Weight.NOTE,
+            f"the friction is known to ±{100 * f.half_width:.2g} % after {found.periods:.0f} "
+            f"periods, ±{100 * wanted:.2g} % were asked for: position or time stamps are too "
+            "coarse for more; more travel, or --repeat, helps",
+        )
+    return [*reasons, *_of_interval(f, e), *_of_terms(found, units)]
+
+
+def _of_terms(found: OutputErrorEstimate, units: UnitNames) -> list[Reason]:
+    """What the terms of the law say that explains the positions."""
+    e, p, size = units.effort, units.position, found.size
+    reasons = []
+    if "drag" in found.terms:
+        reasons.append(_of_drag(size("drag"), found.peak_speed, units))
+    if "load" in found.terms:
+        reasons.append(_of_load(size("load")))
+    if "drift" in found.terms:
+        reasons.append(_of_drift(size("drift"), found.seconds))
+    if "spring" in found.terms:
         reasons.append(
             Reason(
-                "law.drift",
-                Weight.DOUBT if changed > _MUCH_DRIFT else Weight.NOTE,
-                f"friction changed by {100 * rate:+.2f} % a second while it was measured, "
-                f"{100 * changed:.1f} % in all: the number is the mean over the record",
+                "law.spring",
+                Weight.NOTE,
+                f"a spring of {size('spring'):.3g} {e}/{p} acts on the axis: the offset is that of "
+                "the middle of the motion",
+            )
+        )
+    if "eccentricity" in found.terms:
+        reasons.append(
+            Reason(
+                "law.eccentricity",
+                Weight.NOTE,
+                f"the encoder is eccentric, by up to {size('eccentricity'):.2g} {p} a turn; the "
+                "numbers are without it",
             )
         )
     return reasons
+
+
+def _of_drag(factor: float, peak_speed: float, units: UnitNames) -> Reason:
+    e, p = units.effort, units.position
+    return Reason(
+        "law.drag",
+        Weight.NOTE,
+        f"drag: a torque that grows with the square of the speed, {factor:.3g} {e}·s²/{p}² or "
+        f"{factor * peak_speed**2:.3g} {e} at the fastest; the friction is that without it",
+    )
+
+
+def _of_load(share: float) -> Reason:
+    return Reason(
+        "law.load",
+        Weight.NOTE,
+        f"friction grows with the torque, by {100 * share:.1f} % of it: the level is that without "
+        "load",
+    )
 
 
 def of_lock_in(found: LockIn, resolution: float, units: UnitNames) -> list[Reason]:
@@ -358,114 +427,3 @@ def of_preference(fast: ModulatingEstimate, exact: LockIn, units: UnitNames) -> 
         f"{100 * fast.held_out:.1f} % of the torque unexplained and gives "
         f"{fast.coulomb.value:.4g} {units.effort}",
     )
-
-
-def of_torque(
-    gain: float | None, dwell: float, half_swing: float, resolution: float
-) -> list[Reason]:
-    """Reasons that the raw record gives: torque followed, rests, counts (half-swing in counts)."""
-    reasons = []
-    if gain is not None and abs(gain - 1) > _TORQUE_OFF:
-        weight = Weight.CONTRADICTION if abs(gain - 1) > 0.3 else Weight.DOUBT
-        reasons.append(
-            Reason(
-                "torque.scale",
-                weight,
-                f"the drive measures {100 * gain:.0f} % of the torque that is commanded: it "
-                "limits, or its torque scale is wrong",
-            )
-        )
-    if dwell > _DWELL:
-        weight = Weight.CONTRADICTION if dwell > _MUCH_DWELL else Weight.DOUBT
-        reasons.append(
-            Reason(
-                "axis.sticks",
-                weight,
-                f"the axis rests at its reversals for {100 * dwell:.0f} % of the time: it sticks; "
-                "a larger torque (--max-torque) takes it through",
-            )
-        )
-    counts = half_swing / resolution if resolution else np.inf
-    if counts < _COARSE:
-        reasons.append(
-            Reason(
-                "position.coarse",
-                Weight.CONTRADICTION if counts < _TOO_COARSE else Weight.DOUBT,
-                f"the smaller oscillation has a half-swing of {counts:.0f} encoder counts; "
-                f"{_COARSE} are needed for a fine result: give more --travel",
-            )
-        )
-    return reasons
-
-
-def dwell_share(record: Record, inertia: float, coulomb: float) -> float:
-    """Share of the time that the axis rests at its reversals, beyond what turning takes."""
-    y, t = record.position, record.time
-    instants, _ = reversals(record)
-    if not len(instants) or not inertia > 0:
-        return 0.0
-    swing = record.command - np.median(record.command)
-    pull = max(float(np.quantile(np.abs(swing), 0.5)) - coulomb, 0.1 * coulomb)
-    reach = 1.5 * max(record.resolution, 1e-6 * float(np.ptp(y)))
-    step = float(np.median(np.diff(t)))
-    turning = 2 * np.sqrt(2 * reach * inertia / pull) + 3 * step
-    rested = 0.0
-    for at in np.searchsorted(t, instants):
-        k = min(max(int(at), 0), len(y) - 1)
-        first = last = k
-        while first > 0 and abs(y[first - 1] - y[k]) <= reach:
-            first -= 1
-        while last < len(y) - 1 and abs(y[last + 1] - y[k]) <= reach:
-            last += 1
-        rested += max(t[last] - t[first] - turning, 0.0)
-    return float(rested / (t[-1] - t[0]))
-
-
-_AHEAD = 2  # cycles
-_A_PUSH = 0.05  # of the largest command
-
-
-def is_unsigned(measured: Array, command: Array) -> bool:
-    """Whether a drive tells its torque without a sign.
-
-    A command that pushes both ways, and never below zero.
-
-    Parameters
-    ----------
-    measured, command : (n,) N.m or N, one a cycle
-    """
-    least = _A_PUSH * float(np.abs(command).max(initial=0.0))
-    pushes_both_ways = min(-command.min(initial=0.0), command.max(initial=0.0)) > least
-    return bool(
-        pushes_both_ways
-        and measured.min(initial=0.0) > -least
-        and measured.max(initial=0.0) > least
-    )
-
-
-def torque_gain(measured: Array, command: Array) -> float | None:
-    """Measured torque over commanded, at the lag that fits best; None where nothing is measured.
-
-    A drive that always tells 0 measures nothing.
-
-    Of a torque without a sign: mean size over mean size.
-
-    A drive that is read some time after it was commanded shows the torque before the command is
-    said to be in force: the lag may be a cycle or two the other way.
-
-    Parameters
-    ----------
-    measured, command : (n,) N.m or N, one a cycle
-    """
-    if not np.isfinite(measured).all() or len(measured) < 50 or not np.any(measured):
-        return None
-    if is_unsigned(measured, command):
-        return float(np.abs(measured).mean() / max(np.abs(command).mean(), 1e-300))
-    m, c = measured - measured.mean(), command - command.mean()
-    gains, misses = [], []
-    for lag in range(-_AHEAD, min(40, len(c) // 8)):
-        a, b = (m[lag:], c[: len(c) - lag]) if lag >= 0 else (m[:lag], c[-lag:])
-        gain = float(a @ b) / max(float(b @ b), 1e-300)
-        gains.append(gain)
-        misses.append(float(np.mean((a - gain * b) ** 2)))
-    return gains[int(np.argmin(misses))]

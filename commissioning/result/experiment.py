@@ -129,7 +129,7 @@ class Experiment:
     complex_coulomb : that puts the relay's locus on the plant, N.m or N
     tests : relay tests that the thesis' method took
     repeats : Coulomb friction of each repeat, N.m or N
-    analysed : begin and end of the record that the numbers are of, s; of repeats the last
+    analysed : begin and end of each stretch that the numbers are of, s; of repeats the last
     """
 
     periods: Finite
@@ -144,4 +144,4 @@ class Experiment:
     tests: Count = 0
     repeats: tuple[Finite, ...] = ()
     setup: Setup | None = None
-    analysed: Pair | None = None
+    analysed: tuple[Pair, ...] = ()

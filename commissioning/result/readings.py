@@ -14,6 +14,8 @@ __all__ = [
     "MethodName",
     "Methods",
     "ModulatingReading",
+    "OutputErrorReading",
+    "ProgressReading",
     "Speed",
     "SteadyReading",
     "TwoRelayReading",
@@ -30,7 +32,8 @@ class MethodName(StrEnum):
 
     about: str
 
-    AUTO = "auto", "a dozen periods, or thirty where they are needed"
+    AUTO = "auto", "four periods, and more where they are needed"
+    OUTPUT_ERROR = "output-error", "the positions fitted, four to twelve periods"
     MODULATING = "modulating", "a dozen periods"
     LOCK_IN = "lock-in", "exact harmonic balance, no model"
     TWO_RELAY = "two-relay", "the thesis, with hysteresis"
@@ -136,6 +139,53 @@ class ModulatingReading:
 
 
 @dataclass(frozen=True, slots=True)
+class ProgressReading:
+    """Coulomb friction as fewer periods would have given it, N.m or N."""
+
+    periods: Finite
+    coulomb: Finite
+    low: Finite
+    high: Finite
+
+
+@dataclass(frozen=True, slots=True)
+class OutputErrorReading:
+    """Positions fitted with a free state a segment: numbers, law, and what is left.
+
+    Attributes
+    ----------
+    lag, lag_low, lag_high : of the torque behind its command, first order, s
+    terms : of the law beside Coulomb and viscous friction, and the size of each
+    left, noise : rms of what is left of the position, and of the position itself, rad or m
+    colour : 1: what is left is white
+    misfit : what is left beyond the noise, as a torque, of the friction
+    explained : whether the numbers are of a law that explains the record
+    samples, periods : that were used
+    progress : what fewer periods would have given
+    """
+
+    coulomb: Finite
+    offset: Finite
+    viscous: Finite
+    inertia: Finite
+    dead_time: Finite
+    lag: Finite
+    lag_low: Finite
+    lag_high: Finite
+    terms: dict[str, Finite]
+    left: Finite
+    noise: Finite
+    colour: Finite
+    misfit: Finite
+    explained: bool
+    samples: Count
+    periods: Finite
+    low_speed: Finite
+    peak_speed: Finite
+    progress: tuple[ProgressReading, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Speed:
     """Torque at one constant speed, and its error."""
 
@@ -158,6 +208,9 @@ class SteadyReading:
     points: tuple[Speed, ...] = ()
 
 
+Reading = TwoRelayReading | BalanceReading | ModulatingReading | OutputErrorReading | SteadyReading
+
+
 @dataclass(frozen=True, slots=True)
 class Methods:
     """What was run, each with its own reading.
@@ -170,11 +223,10 @@ class Methods:
     phase_locked: BalanceReading | None = None
     lock_in: BalanceReading | None = None
     modulating: ModulatingReading | None = None
+    output_error: OutputErrorReading | None = None
     steady: SteadyReading | None = None
 
-    def readings(
-        self,
-    ) -> list[tuple[str, TwoRelayReading | BalanceReading | ModulatingReading | SteadyReading]]:
+    def readings(self) -> list[tuple[str, Reading]]:
         """Name and reading of each method that was run."""
         pairs = [(one.name.replace("_", "-"), getattr(self, one.name)) for one in fields(self)]
         return [(name, reading) for name, reading in pairs if reading is not None]

@@ -7,12 +7,14 @@ from typing import Protocol, cast
 
 import numpy as np
 
-from commissioning.identification.critical_point import CriticalPoint
+from commissioning.identification.critical_point import CriticalPoint, Lag
 from commissioning.identification.estimate import Estimate
 from commissioning.identification.limit_cycle import LimitCycle
 from commissioning.identification.lock_in import LockIn
 from commissioning.identification.modulating import ModulatingEstimate
+from commissioning.identification.output_error import OutputErrorEstimate
 from commissioning.identification.phase_locked import PhaseLocked
+from commissioning.identification.reading import Explained
 from commissioning.identification.reasons import Reason
 from commissioning.identification.record import Record
 from commissioning.identification.two_relay import FrictionEstimate
@@ -76,6 +78,7 @@ class Measured:
     relay : limit cycle of the relay at d1
     shown : one oscillation at d1 and one at d2
     record : what the chosen method read
+    spans : begin and end of the stretches of it that were read, s; () : all of it
     by : what each method that was run has found
     preferred : the method whose numbers are better here; None: the finest that was run
     corrected, second : the plant read from the phasors of the relay's limit cycle, and of an
@@ -91,6 +94,7 @@ class Measured:
     tests: int = 1
     by: dict[MethodName, Estimates] = field(default_factory=dict)
     preferred: MethodName | None = None
+    spans: tuple[tuple[float, float], ...] = ()
     corrected: CriticalPoint | None = None
     second: CriticalPoint | None = None
     points: dict[str, Wished] = field(default_factory=dict)
@@ -112,6 +116,22 @@ class Measured:
     def modulating(self) -> ModulatingEstimate | None:
         """What modulating functions have found."""
         return cast("ModulatingEstimate | None", self.by.get(MethodName.MODULATING))
+
+    @property
+    def output_error(self) -> OutputErrorEstimate | None:
+        """What output error has found."""
+        return cast("OutputErrorEstimate | None", self.by.get(MethodName.OUTPUT_ERROR))
+
+    @property
+    def lag(self) -> Lag:
+        """What of the dead time is a lag of the torque, as far as that is known."""
+        found = self.output_error
+        return Lag() if found is None else Lag(found.lag.value, found.period)
+
+    @property
+    def explained(self) -> Explained | None:
+        """The law that explains the axis; None where no method has one."""
+        return Explained.of(self.output_error) or Explained.of(self.modulating)
 
     @property
     def lock_in(self) -> LockIn | None:

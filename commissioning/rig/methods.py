@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
-
-import numpy as np
 
 from commissioning.errors import MeasurementRejected
 from commissioning.experiments.approach import approach
 from commissioning.experiments.design import LONG, SHORT, PeriodNeeds
-from commissioning.experiments.oscillations import Oscillations, Stretch, oscillations
-from commissioning.experiments.oscillator import Held, Wave
+from commissioning.experiments.oscillations import Oscillations, Stretch
+from commissioning.experiments.oscillator import Held
 from commissioning.experiments.plan import Plan
 from commissioning.experiments.relay import Switching
 from commissioning.experiments.two_relay import Solver, TwoRelay, two_relay
@@ -27,7 +25,7 @@ from commissioning.identification.modulating import (
     refined_kinematics,
 )
 from commissioning.identification.phase_locked import phase_locked
-from commissioning.identification.reading import Reader, by_balance
+from commissioning.identification.reading import by_balance
 from commissioning.identification.reasons import Reason, Weight
 from commissioning.identification.record import Kinematics, Record
 from commissioning.identification.two_relay import from_cycles
@@ -42,15 +40,22 @@ from commissioning.identification.verdict import (
 )
 from commissioning.result.readings import MethodName, Methods
 from commissioning.rig.measured import Measured, Oscillation
+from commissioning.rig.oscillated import knob, oscillate, read_by_law, shown, whole
 from commissioning.rig.points import points
-from commissioning.rig.readings import balance_reading, modulating_reading, two_relay_reading
+from commissioning.rig.precise import attempted, positions, precise, unexplained
+from commissioning.rig.readings import (
+    balance_reading,
+    modulating_reading,
+    output_error_reading,
+    two_relay_reading,
+)
 from commissioning.rig.ready import Ready
 from commissioning.rig.rig import Rig
 from profiles.errors import UnknownName
 
 __all__ = ["METHODS", "Method", "method_of", "methods_of", "repeated"]
 
-_RELAY_PERIODS, _HOLD_PERIODS = 5, 7  # of relay and oscillator, that usually are enough
+_RELAY_PERIODS, _HOLD_PERIODS = 5, 7  # of relay and oscillator, where no rigid law explains it
 _RELAY_PERIODS_MORE, _HELD_PERIODS = 2, 8  # of relay and each oscillation, when they are not
 _PERIODS_SETTLED, _MOST_PERIODS = 10, 20  # of each oscillation of lock-in: settled, and at most
 _MOST_DESIGNS = 3  # how often the oscillations are chosen anew, where the first look was far off
@@ -109,23 +114,42 @@ def methods_of(measured: Measured) -> Methods:
 
 
 def _auto(ready: Ready) -> Measured:
-    """A dozen periods where they are enough, else thirty and the exact balance (method.md 3a)."""
-    short = _short(ready)
+    """As many periods as the precision asks for, where a law explains the positions.
+
+    Else a dozen for modulating functions, or thirty and the exact balance (method.md 3a, 9.5).
+    """
+    first = attempted(ready)
+    if first is not None and first.output_error is not None and first.output_error.is_explained:
+        return first
+    if first is not None:
+        ready = first.ready
+        ready.context.detail(f"{unexplained(first)}; a dozen periods")
+    measured = _by_law_or_balance(ready, None)
+    measured.periods += first.periods if first is not None else 0
+    return measured
+
+
+def _by_law_or_balance(ready: Ready, begun: float | None) -> Measured:
+    """A dozen periods where they are enough, else thirty and the exact balance.
+
+    `begun` : hysteresis of a relay that has run before, rad or m
+    """
+    short = _short(ready, begun)
     ready, first = short.ready, short.modulating
     assert first is not None
-    if within_short(first):
+    if positions(short) or within_short(first):
         return short
     ready.context.detail(
         f"a dozen periods are not enough: {_why(first)}; the oscillations are held"
     )
-    more = _oscillate(
+    more = oscillate(
         ready, _RELAY_PERIODS_MORE,
         (Stretch(1, _HELD_PERIODS, _HELD_PERIODS), Stretch(2, _HELD_PERIODS, _HELD_PERIODS)),
-        knob=_knob(short), period=short.shown[1].cycle.period,
+        knob=knob(short), staged=False, period=short.shown[1].cycle.period,
     )  # fmt: skip
     record = ready.record(more.begin, more.end)
     fast = estimate(record)
-    measured = _shown(ready, more, record, periods=short.periods + more.periods)
+    measured = shown(ready, more, record, periods=short.periods + more.periods)
     # the first record's relay had more periods to come to its limit cycle
     measured.relay, measured.shown = short.relay, (short.shown[0], measured.shown[1])
     measured.by[MethodName.MODULATING] = fast
@@ -185,41 +209,37 @@ def _why(found: ModulatingEstimate) -> str:
     return f"{100 * found.rigid_residual:.1f} % of the torque unexplained by a rigid axis"
 
 
-def _short(ready: Ready) -> Measured:
+def _short(ready: Ready, begun: float | None = None) -> Measured:
     """Relay at d1, oscillator at d2, nothing settled: modulating functions."""
     periods = 0
     for _ in range(_MOST_DESIGNS):
-        found = _oscillate(ready, _RELAY_PERIODS, (Stretch(2, _HOLD_PERIODS, _HOLD_PERIODS),))
+        stretch = Stretch(2, _HOLD_PERIODS, _HOLD_PERIODS)
+        found = oscillate(ready, _RELAY_PERIODS, (stretch,), knob=begun)
         record = ready.record(found.begin, found.end)
         periods += found.periods
         fitted = estimate(record)
         again = ready.redesigned(fitted)
         if again is None:
             break
-        ready = again
-    measured = _shown(ready, found, record, periods=periods)
+        ready, begun = again, None
+    measured = shown(ready, found, record, periods=periods)
     measured.by[MethodName.MODULATING] = fitted
     measured.reasons = of_modulating(fitted, ready.units)
-    if fitted.held_out < EXPLAINS:
-        _read_by_law(measured, fitted)
+    read_by_law(measured)
     return measured
-
-
-def _knob(measured: Measured) -> float:
-    return measured.relay.hysteresis
 
 
 # -- the exact balance ----------------------------------------------------------------------------
 
 
 def _lock_in(ready: Ready) -> Measured:
-    found = _oscillate(
+    found = oscillate(
         ready,
         _RELAY_PERIODS,
         (Stretch(1, _PERIODS_SETTLED, _MOST_PERIODS), Stretch(2, _PERIODS_SETTLED, _MOST_PERIODS)),
     )
     record = ready.record(found.begin, found.end)
-    measured = _shown(ready, found, record, periods=found.periods)
+    measured = shown(ready, found, record, periods=found.periods)
     exact, measured.second = _balance(record, found, ready)
     measured.by[MethodName.LOCK_IN] = exact
     measured.corrected = _of_relay(measured, record, exact)
@@ -255,38 +275,21 @@ def _phasors(record: Record, kinematics: Kinematics, held: Held) -> Phasors:
 # -- the plant's point ----------------------------------------------------------------------------
 
 
-def _read_by_law(measured: Measured, found: ModulatingEstimate) -> None:
-    """Relay and oscillator by the law that explains their record, if that knows the inertia."""
-    if not found.inertia.low > 0:
-        return
-    first, second = measured.shown
-    reader = Reader(measured.record, found, first.cycle.period)
-    measured.corrected = reader.point(*_whole(first))
-    measured.second = reader.point(*_whole(second))
-
-
 def _of_relay(measured: Measured, record: Record, found: LockIn) -> CriticalPoint:
     """The plant from the relay's limit cycle in `record`, by the exact balance's own friction."""
-    read = phasors(record, refined_kinematics(record), *_whole(measured.shown[0]))
+    read = phasors(record, refined_kinematics(record), *whole(measured.shown[0]))
     return by_balance(read, found)
 
 
-def _whole(shown: Oscillation) -> tuple[float, float, int]:
-    """Begin, period and number of the whole periods of an oscillation."""
-    begin, end = shown.span
-    period = shown.cycle.period
-    return begin, period, max(round((end - begin) / period - 0.2), 1)
-
-
 def _phase_locked(ready: Ready) -> Measured:
-    found = _oscillate(
+    found = oscillate(
         ready,
         _RELAY_PERIODS,
         (Stretch(1, _PERIODS_SETTLED, _MOST_PERIODS), Stretch(2, _PERIODS_SETTLED, _MOST_PERIODS)),
         wave="sine",
     )
     record = ready.record(found.begin, found.end)
-    measured = _shown(ready, found, record, periods=found.periods)
+    measured = shown(ready, found, record, periods=found.periods)
     kinematics = refined_kinematics(record)
     first, second = (_phasors(record, kinematics, held) for held in found.held)
     measured.by[MethodName.PHASE_LOCKED] = phase_locked(first, second)
@@ -357,56 +360,6 @@ def _all(ready: Ready) -> Measured:
     return measured
 
 
-# -- helpers --------------------------------------------------------------------------------------
-
-
-def _oscillate(
-    ready: Ready,
-    relay_periods: int,
-    stretches: tuple[Stretch, ...],
-    *,
-    wave: Wave = "square",
-    knob: float | None = None,
-    period: float | None = None,
-) -> Oscillations:
-    def plan() -> Plan[Oscillations]:
-        yield from approach(ready.context, ready.context.start, ready.known)
-        return (
-            yield from oscillations(
-                ready.context, ready.design, ready.known, relay_periods, stretches,
-                wave=wave, knob=knob, period=period,
-            )
-        )  # fmt: skip
-
-    return ready.run(plan())
-
-
-def _shown(ready: Ready, found: Oscillations, record: Record, *, periods: int) -> Measured:
-    last = found.held[-1]
-    inside = (record.time >= last.begin) & (record.time <= last.end)
-    second = replace(
-        found.relay,
-        relay_amplitude=last.amplitude,
-        hysteresis=float("nan"),
-        period=last.period,
-        period_error=0.0,
-        half_swing=float(np.ptp(record.position[inside])) / 2,
-        fundamental=float("nan"),
-        periods=last.periods,
-        settled=last.settled,
-    )
-    return Measured(
-        ready,
-        found.relay,
-        (
-            Oscillation("relay", found.relay, found.relay_span),
-            Oscillation("oscillator", second, (last.begin, last.end)),
-        ),
-        record,
-        periods,
-    )
-
-
 # -- all of them ----------------------------------------------------------------------------------
 
 
@@ -429,6 +382,7 @@ class Method:
 
 METHODS = (
     Method(MethodName.AUTO, SHORT, _auto),
+    Method(MethodName.OUTPUT_ERROR, SHORT, precise, output_error_reading),
     Method(MethodName.MODULATING, SHORT, _short, modulating_reading),
     Method(MethodName.LOCK_IN, SHORT, _lock_in, balance_reading),
     Method(

@@ -13,11 +13,10 @@ from math import pi, radians, sin
 from commissioning.errors import MeasurementRejected
 from commissioning.experiments.at_period import Wanted, oscillate_at
 from commissioning.experiments.design import travel_needed
-from commissioning.identification.critical_point import CriticalPoint, at_its_phase, at_phase
+from commissioning.identification.critical_point import CriticalPoint, Lag, at_its_phase, at_phase
 from commissioning.identification.errors import NotShown, words_of
 from commissioning.identification.estimate import Estimate
 from commissioning.identification.lock_in import phasors
-from commissioning.identification.modulating import EXPLAINS
 from commissioning.identification.reading import Reader, by_balance
 from commissioning.identification.reasons import Reason, Weight
 from commissioning.identification.record import kinematics
@@ -38,7 +37,7 @@ _NEAR_ENOUGH, _WORTH_A_WORD = 0.4, 1.0  # degrees from the phase that is wanted
 _TRIES = 3
 
 
-def computed(model: dict[str, Estimate | None], phase: float) -> Wished:
+def computed(model: dict[str, Estimate | None], phase: float, lag: Lag) -> Wished:
     """The point of the identified rigid axis."""
     names = {"inertia": "inertia", "viscous": "viscous friction", "dead_time": "dead time"}
     unknown = [text for name, text in names.items() if model.get(name) is None]
@@ -58,7 +57,7 @@ def computed(model: dict[str, Estimate | None], phase: float) -> Wished:
             None,
             "the dead time is zero within its interval: a rigid axis without one stays above",
         )
-    point = at_phase(inertia, viscous, dead_time, phase)
+    point = at_phase(inertia, viscous, dead_time, phase, lag)
     return Wished(point, None, "not asked for")
 
 
@@ -68,13 +67,14 @@ def points(measured: Measured, *, move: bool) -> None:
     Says what is not there or not measured.
     """
     model = {name: measured.estimate(name) for name in ("inertia", "viscous", "dead_time")}
-    measured.corrected = _at_its_phase(measured.corrected, model)
-    measured.second = _at_its_phase(measured.second, model)
+    lag = measured.lag
+    measured.corrected = _at_its_phase(measured.corrected, model, lag)
+    measured.second = _at_its_phase(measured.second, model, lag)
     for key, phase in TARGETS.items():
-        wished = computed(model, phase)
+        wished = computed(model, phase, lag)
         if wished.point is not None and move:
             wished = _measured(wished.point, phase, measured, model)
-            wished = replace(wished, point=_at_its_phase(wished.point, model))
+            wished = replace(wished, point=_at_its_phase(wished.point, model, lag))
         elif wished.point is not None:
             _, travel, why_not = _wanted(wished.point, measured)
             wished = Wished(wished.point, travel, why_not or "not asked for")
@@ -91,7 +91,7 @@ def points(measured: Measured, *, move: bool) -> None:
 
 
 def _at_its_phase(
-    point: CriticalPoint | None, model: dict[str, Estimate | None]
+    point: CriticalPoint | None, model: dict[str, Estimate | None], lag: Lag
 ) -> CriticalPoint | None:
     """A point that was measured, where it gives Ku with what its phase makes of that."""
     axis = [model[name] for name in ("inertia", "viscous", "dead_time")]
@@ -99,7 +99,8 @@ def _at_its_phase(
     is_computed = point is not None and not point.measured
     if point is None or is_computed or point.ku is None or len(known) < len(axis):
         return point
-    return at_its_phase(point, *known)
+    inertia, viscous, dead_time = known
+    return at_its_phase(point, inertia, viscous, dead_time, lag)
 
 
 def _measured(
@@ -134,7 +135,7 @@ def _measured(
             break
         # the model's own phase at this period is off by as much
         expected = point.phase_deg + phase - read.phase_deg
-        again = computed(model, expected).point
+        again = computed(model, expected, measured.lag).point
         if again is None or not -270 < expected < -90:
             break
         point = again
@@ -214,8 +215,8 @@ def _read(wanted: Wanted, measured: Measured) -> tuple[CriticalPoint, bool]:
     measured.periods += held.periods
     count = max(round((held.end - held.begin) / held.period - 0.2), 1)
     record = ready.record(held.begin - held.period, end)
-    law, balance = measured.modulating, measured.lock_in
-    if law is not None and law.held_out < EXPLAINS:
+    law, balance = measured.explained, measured.lock_in
+    if law is not None:
         return Reader(record, law, held.period).point(held.begin, held.period, count), held.settled
     if balance is None:
         raise NotShown("no friction law explains this axis")

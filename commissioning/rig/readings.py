@@ -8,6 +8,7 @@ from math import isfinite
 
 from commissioning.identification.lock_in import LockIn
 from commissioning.identification.modulating import ModulatingEstimate
+from commissioning.identification.output_error import OutputErrorEstimate
 from commissioning.identification.phase_locked import PhaseLocked
 from commissioning.identification.steady import SteadyFit, SteadyPoint
 from commissioning.identification.two_relay import FrictionEstimate
@@ -16,12 +17,20 @@ from commissioning.result.readings import (
     BalanceReading,
     LawReading,
     ModulatingReading,
+    OutputErrorReading,
+    ProgressReading,
     Speed,
     SteadyReading,
     TwoRelayReading,
 )
 
-__all__ = ["balance_reading", "modulating_reading", "steady_reading", "two_relay_reading"]
+__all__ = [
+    "balance_reading",
+    "modulating_reading",
+    "output_error_reading",
+    "steady_reading",
+    "two_relay_reading",
+]
 
 _CHECKS = (  # of modulating functions, in the order of their reading
     "residual", "held_out", "rigid_residual", "condition", "halves", "widths", "noise", "periods",
@@ -85,6 +94,34 @@ def modulating_reading(found: ModulatingEstimate) -> ModulatingReading:
         ),
         *(_finite(getattr(found, name)) for name in _CHECKS),
     )  # fmt: skip
+
+
+def output_error_reading(found: OutputErrorEstimate) -> OutputErrorReading:
+    """Output error: numbers, law, what is left, and what fewer periods would have given."""
+    return OutputErrorReading(
+        coulomb=found.coulomb.value,
+        offset=found.offset.value,
+        viscous=found.viscous.value,
+        inertia=found.inertia.value,
+        dead_time=found.dead_time.value,
+        lag=found.lag.value,
+        lag_low=found.lag.low,
+        lag_high=found.lag.high,
+        terms={str(term): found.size(term) for term in found.terms},
+        left=found.rms,
+        noise=found.noise,
+        colour=found.colour,
+        misfit=found.misfit,
+        explained=found.is_explained,
+        samples=found.samples,
+        periods=found.periods,
+        low_speed=found.low_speed,
+        peak_speed=found.peak_speed,
+        progress=tuple(
+            ProgressReading(one.periods, one.coulomb.value, one.coulomb.low, one.coulomb.high)
+            for one in found.progress
+        ),
+    )
 
 
 def steady_reading(found: SteadyFit, points: Sequence[SteadyPoint]) -> SteadyReading:

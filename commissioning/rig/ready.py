@@ -5,6 +5,7 @@ First motions done, stop path proved, design chosen.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -18,6 +19,7 @@ from commissioning.experiments.first_look import FirstLook
 from commissioning.experiments.plan import Context, Plan
 from commissioning.experiments.stopping import Stopping
 from commissioning.identification.modulating import ModulatingEstimate
+from commissioning.identification.output_error import OutputErrorEstimate
 from commissioning.identification.record import Record, trusted, unfiltered
 from commissioning.identification.verdict import UnitNames
 from commissioning.rig.mover import Mover
@@ -75,7 +77,7 @@ class Ready:
         envelope = replace(envelope, cautious=False, stopping=stopping, relay_torque=chosen.most)
         return cls(mover, options, context, units, envelope, known, stopping, pace, chosen)
 
-    def redesigned(self, found: ModulatingEstimate) -> Ready | None:
+    def redesigned(self, found: ModulatingEstimate | OutputErrorEstimate) -> Ready | None:
         """The axis with other oscillations, by a first record; None: they were right."""
         f, before = found.coulomb.value, self.design
         if not 0 < f < self.context.torque or found.coulomb.half_width > _WIDEST_KNOWN:
@@ -133,6 +135,17 @@ class Ready:
 
     def record(self, begin: float, end: float) -> Record:
         """What was recorded between two instants (s), a filter in the position signal undone."""
+        return self._record(begin, end).between(begin, end)
+
+    def records(self, spans: Sequence[tuple[float, float]]) -> Record:
+        """The same of several stretches, (begin, end) in s, as one record with gaps."""
+        whole = self._record(spans[0][0], spans[-1][1])
+        used = np.zeros(len(whole.time), bool)
+        for begin, end in spans:
+            used |= (whole.time >= begin) & (whole.time <= end)
+        return replace(whole, time=whole.time[used], position=whole.position[used])
+
+    def _record(self, begin: float, end: float) -> Record:
         # commands before the record act in it, too
         early = begin - self.design.period
         cut = [s for s in self.mover.recorder.samples if early <= s.time <= end]
@@ -141,7 +154,7 @@ class Ready:
         whole = record_of(kept, cut, self.context.resolution)
         if self.options.output_filter:
             whole = unfiltered(whole, self.options.output_filter)
-        return whole.between(begin, end)
+        return whole
 
 
 def record_of(seen: list[Sample], commanded: list[Sample], resolution: float) -> Record:

@@ -12,6 +12,7 @@ from commissioning.errors import MeasurementRejected
 from commissioning.identification.critical_point import CriticalPoint, hysteresis_only, naive
 from commissioning.identification.estimate import Estimate
 from commissioning.identification.modulating import ModulatingEstimate
+from commissioning.identification.output_error import OutputErrorEstimate
 from commissioning.identification.reasons import Reason, Weight, verdict, weightiest_first
 from commissioning.identification.steady import SteadyFit
 from commissioning.result.document import Quality, RunResult
@@ -87,7 +88,7 @@ def found_of(repeats: Sequence[Measured], units: Units, raw: Raw) -> Found:
             mean = _mean(known)
             numbers[name] = quantity(mean, units.of_quantity(name), raw(name, mean.value))
     # a law that does not explain the record says nothing of the curve
-    told = [one.modulating for one in repeats if one.preferred is None]
+    told = [one.output_error or one.modulating for one in repeats if one.preferred is None]
     fits = [one for one in told if one is not None]
     curve = low_speed = None
     if len(fits) == len(repeats):
@@ -110,7 +111,9 @@ def _mean(estimates: Sequence[Estimate]) -> Estimate:
     return Estimate(mean, min(low, mean - half), max(high, mean + half))
 
 
-def curve_of(fits: Sequence[ModulatingEstimate | SteadyFit], fastest: float) -> Curve:
+def curve_of(
+    fits: Sequence[ModulatingEstimate | OutputErrorEstimate | SteadyFit], fastest: float
+) -> Curve:
     """Friction against speed up to `fastest`, by the law that was found; the mean of several."""
     speed = np.geomspace(_SLOWEST, 1, _SPEEDS) * fastest
     level = np.mean([fit.curve(speed) for fit in fits], axis=0)

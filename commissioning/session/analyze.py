@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +22,9 @@ from commissioning.identification.modulating import (
     refined_kinematics,
 )
 from commissioning.identification.oscillation import Steady, pair, steady_oscillations
+from commissioning.identification.output_error import OutputErrorEstimate, output_error
 from commissioning.identification.reasons import Reason, Weight
-from commissioning.identification.record import Record, resolution_of, rests, trusted
+from commissioning.identification.record import Kinematics, Record, resolution_of, rests, trusted
 from commissioning.identification.steady import SteadyFit, SteadyPoint, at_speed, fit, plateaus
 from commissioning.identification.verdict import agreement, of_lock_in, of_modulating
 from commissioning.recording import Recording, column_of, read, table_of
@@ -31,7 +33,12 @@ from commissioning.result.endings import AxisState
 from commissioning.result.experiment import Experiment
 from commissioning.result.found import QUANTITIES, Found, Quantity, Units
 from commissioning.result.readings import Methods
-from commissioning.rig.readings import balance_reading, modulating_reading, steady_reading
+from commissioning.rig.readings import (
+    balance_reading,
+    modulating_reading,
+    output_error_reading,
+    steady_reading,
+)
 from commissioning.rig.results import (
     Rejected,
     curve_of,
@@ -48,6 +55,7 @@ Columns = dict[str, str | None]  # quantity: COL:UNIT as the user gives it
 
 _DOMINATES = 0.5  # of the record: one oscillation that is all there is …
 _BEFORE = 0.1  # of the span that was analysed
+_SWITCHED = 0.3  # of the samples at which the torque may change
 _ONE_SWING = 1.1  # … with half-swings that differ by no more
 _MISSES = 0.15  # of the torque, on speeds that were left out: no friction curve
 
@@ -197,21 +205,26 @@ def _motion(
     oscillations = steady_oscillations(record, kinematics)
     two = pair(oscillations)
     is_a_run = recording.analysed is not None
+    one = not is_a_run and _is_one_oscillation(record, oscillations)
+    is_wanted = method == "output-error"
+    may_be = is_a_run or (not one and bool(oscillations) and _is_switched(record))
+    if is_wanted or (method == "auto" and may_be):
+        tell("output error")
+        positions = _by_positions(record, recording, result)
+        if is_wanted and positions is None:
+            raise MeasurementRejected(
+                "the positions of the recording are no oscillation of a rigid axis, which output "
+                "error needs",
+                code="recording.not-rigid",
+                hint="use --method auto",
+            )
+        if positions is not None and (is_wanted or positions.is_explained):
+            return _told_by_positions(result, positions, reasons, named)
     exact: LockIn | None = None
     fast: ModulatingEstimate | None = None
     if two is not None and method != "modulating":
         tell(f"two oscillations of {two[0].period * 1000:.4g} ms: exact harmonic balance")
-        first, second = (
-            phasors(
-                record,
-                kinematics,
-                o.begin,
-                two[0].period,
-                int(o.periods * o.period / two[0].period),
-            )
-            for o in two
-        )
-        exact = lock_in(first, second, record.resolution, watched.cycle)
+        exact = _balanced(record, kinematics, two, watched.cycle)
     elif method == "lock-in":
         raise MeasurementRejected(
             "the exact balance needs two steady oscillations of one period and different swing; "
@@ -220,22 +233,11 @@ def _motion(
             hint="use --method modulating",
         )
     if method != "lock-in":
-        one = not is_a_run and _is_one_oscillation(record, oscillations)
         tell("modulating functions")
         fast = estimate(record, any_motion=two is None and not is_a_run, ladder=not one)
         reasons += of_modulating(fast, named)
         if one:
-            swing, period = oscillations[0].half_swing, oscillations[0].period
-            reasons.append(
-                Reason(
-                    "recording.one-oscillation",
-                    Weight.DOUBT,
-                    f"one oscillation only (half-swing {swing:.3g} {units.position}, period "
-                    f"{period * 1000:.4g} ms): what tells Coulomb from viscous friction is the "
-                    "shape of its torque alone, so no other law was tried; record two of clearly "
-                    "different torque",
-                )
-            )
+            reasons.append(_of_one(oscillations[0], units))
     if exact is not None:
         reasons += of_lock_in(exact, record.resolution, named)
         if fast is not None:
@@ -258,6 +260,84 @@ def _motion(
         experiment=replace(watched, periods=periods),
     )
     return judged(result, reasons)
+
+
+def _balanced(
+    record: Record, kinematics: Kinematics, two: tuple[Steady, Steady], cycle: float
+) -> LockIn:
+    """The exact balance of two oscillations."""
+    period = two[0].period
+    first, second = (
+        phasors(record, kinematics, o.begin, period, int(o.periods * o.period / period))
+        for o in two
+    )
+    return lock_in(first, second, record.resolution, cycle)
+
+
+def _of_one(oscillation: Steady, units: Units) -> Reason:
+    """One half-swing tells Coulomb from viscous friction by little."""
+    return Reason(
+        "recording.one-oscillation",
+        Weight.DOUBT,
+        f"one oscillation only (half-swing {oscillation.half_swing:.3g} {units.position}, period "
+        f"{oscillation.period * 1000:.4g} ms): what tells Coulomb from viscous friction is the "
+        "shape of its torque alone, so no other law was tried; record two of clearly different "
+        "torque",
+    )
+
+
+def _by_positions(
+    record: Record, recording: Recording, result: RunResult
+) -> OutputErrorEstimate | None:
+    """Output error, from the modulating functions of a rigid axis on; None where that fails."""
+    try:
+        start = estimate(record, ladder=False)
+        return output_error(
+            record, start.fit.model, start.coulomb.value,
+            rotary=result.units.position == "rad", spans=_spans(recording),
+        )  # fmt: skip
+    except ValueError:
+        return None
+
+
+def _is_switched(record: Record) -> bool:
+    """Whether the torque keeps its level for most of the samples, as that of a relay does."""
+    return float(np.mean(np.diff(record.command) != 0)) < _SWITCHED
+
+
+def _spans(recording: Recording) -> list[tuple[float, float]]:
+    """Begin and end of the stretches that a run was analysed by, s; none: all of it."""
+    if recording.analysed is None:
+        return []
+    edges = np.diff(np.concatenate(([0], recording.analysed.astype(int), [0])))
+    time = recording.time
+    return [
+        (float(time[first]), float(time[last - 1]))
+        for first, last in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True)
+    ]
+
+
+def _told_by_positions(
+    result: RunResult,
+    found: OutputErrorEstimate,
+    reasons: list[Reason],
+    named: verdict.UnitNames,
+) -> RunResult:
+    units, watched = result.units, result.experiment
+    assert watched is not None
+    numbers = {name: quantity(getattr(found, name), units.of_quantity(name)) for name in QUANTITIES}
+    result = replace(
+        result,
+        friction=Found(
+            "output-error",
+            **numbers,
+            low_speed=Quantity(found.low_speed, None, None, units.effort),
+            curve=curve_of([found], found.peak_speed),
+        ),
+        methods=Methods(output_error=output_error_reading(found)),
+        experiment=replace(watched, periods=round(found.periods)),
+    )
+    return judged(result, [*reasons, *verdict.of_output_error(found, inf, named)])
 
 
 def _record(recording: Recording) -> tuple[Record, list[Reason]]:

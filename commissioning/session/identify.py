@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from math import inf
 
 import numpy as np
 
@@ -18,13 +19,13 @@ from commissioning.identification.critical_point import (
     friction_of,
 )
 from commissioning.identification.errors import words_of
-from commissioning.identification.reasons import Reason, Weight
-from commissioning.identification.verdict import (
+from commissioning.identification.followed import (
     dwell_share,
     is_unsigned,
     of_torque,
     torque_gain,
 )
+from commissioning.identification.reasons import Reason, Weight
 from commissioning.result.document import RunResult
 from commissioning.result.experiment import Bases, Experiment, FirstLookReading, Setup
 from commissioning.rig.armed import in_a_run
@@ -86,9 +87,10 @@ def _measured(result: RunResult, repeats: Sequence[Measured], rig: Rig) -> RunRe
             tests=last.tests,
             repeats=tuple(one.found.coulomb.value for one in repeats),
             setup=_setup(rig, last),
-            analysed=(
-                float(last.record.time[0]) - recorder.samples[0].sent,
-                float(last.record.time[-1]) - recorder.samples[0].sent,
+            analysed=tuple(
+                (begin - recorder.samples[0].sent, end - recorder.samples[0].sent)
+                for begin, end in last.spans
+                or ((float(last.record.time[0]), float(last.record.time[-1])),)
             ),
         ),
     )
@@ -219,7 +221,8 @@ def _reasons(measured: Measured, samples: list[Sample], cycle: float) -> list[Re
     reasons += of_torque(
         torque_gain(torque, command),
         dwell_share(record, inertia.value if inertia else known.inertia, f),
-        relay.half_swing,
+        # what counts hide is in the interval of positions that are explained
+        inf if _is_by_positions(measured) else relay.half_swing,
         record.resolution,
     )
     share = f / relay.relay_amplitude
@@ -232,3 +235,8 @@ def _reasons(measured: Measured, samples: list[Sample], cycle: float) -> list[Re
             )
         )
     return reasons
+
+
+def _is_by_positions(measured: Measured) -> bool:
+    found = measured.output_error
+    return found is not None and found.is_explained

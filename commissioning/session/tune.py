@@ -193,8 +193,11 @@ def _seen(result: RunResult, watched: Experiment) -> float:
     """
     fundamental = 2 * pi / watched.cycles[0].period
     fit, exact = result.methods.modulating, result.methods.lock_in
-    rigid = False
-    if fit is not None and fit.held_out is not None:
+    positions = result.methods.output_error
+    rigid = positions is not None and positions.explained
+    if rigid:
+        pass
+    elif fit is not None and fit.held_out is not None:
         rigid = fit.held_out <= max(_RIGID, _RIGID_NOISE * (fit.noise or 0.0))
     elif exact is not None and exact.harmonics:
         f = exact.harmonics

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from commissioning.identification.modulating import ModulatingEstimate, estimate
-from commissioning.identification.reading import Reader
+from commissioning.identification.modulating import estimate
+from commissioning.identification.reading import Explained, Reader
 from commissioning.identification.record import Record
 from drivers.virtual.plant import Plant, PlantParameters
 
@@ -38,13 +38,15 @@ def plant_at(period: float, viscous: float) -> complex:
 
 
 @pytest.fixture(scope="module", params=[2e-3, 0.03], ids=["little damping", "much damping"])
-def known(request: pytest.FixtureRequest) -> tuple[float, ModulatingEstimate]:
+def known(request: pytest.FixtureRequest) -> tuple[float, Explained]:
     record = oscillate(request.param, [(0.2, 0.1, 0.5), (0.35, 0.1, 0.7)])
-    return request.param, estimate(record)
+    found = Explained.of(estimate(record))
+    assert found is not None
+    return request.param, found
 
 
 def test_one_period_that_does_not_close_gives_the_plant(
-    known: tuple[float, ModulatingEstimate],
+    known: tuple[float, Explained],
 ) -> None:
     viscous, law = known
     record = oscillate(viscous, [(0.2, 0.1, 0.5), (0.35, 0.1, 0.7)])
@@ -57,7 +59,7 @@ def test_one_period_that_does_not_close_gives_the_plant(
 
 @pytest.mark.parametrize("period", [0.06, 0.25])
 def test_a_law_that_is_known_reads_another_record_at_another_period(
-    known: tuple[float, ModulatingEstimate], period: float
+    known: tuple[float, Explained], period: float
 ) -> None:
     viscous, law = known
     record = oscillate(viscous, [(0.3, period, 12 * period)])
@@ -70,7 +72,7 @@ def test_a_law_that_is_known_reads_another_record_at_another_period(
     assert abs(np.degrees(np.angle(point.value / truth))) <= point.phase_error
 
 
-def test_a_record_without_reversals_is_refused(known: tuple[float, ModulatingEstimate]) -> None:
+def test_a_record_without_reversals_is_refused(known: tuple[float, Explained]) -> None:
     time = np.arange(200) * CYCLE
     record = Record.of(time, 3 * time, time, np.zeros_like(time), 1e-7)
     with pytest.raises(ValueError, match="0 velocity reversals"):

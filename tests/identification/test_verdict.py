@@ -5,16 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from commissioning.identification.followed import (
+    dwell_share,
+    is_unsigned,
+    of_torque,
+    torque_gain,
+)
 from commissioning.identification.modulating import ModulatingEstimate, estimate
 from commissioning.identification.reasons import Reason, Weight, verdict
 from commissioning.identification.record import Record, rests
 from commissioning.identification.verdict import (
     UnitNames,
-    dwell_share,
-    is_unsigned,
     of_modulating,
-    of_torque,
-    torque_gain,
     within_short,
 )
 from tests.identification.spoiled import COULOMB, SPOILED, changed, relay_tests

@@ -98,12 +98,13 @@ def test_an_exported_run_is_a_recording_like_any_other(tworelay: Tworelay, tmp_p
     part = [list(map(float, row)) for row in samples[1:]]
     begin = part[-1][0] - 2.8
     path = written(tmp_path / "part.csv", samples[0], [row for row in part if row[0] > begin])
-    done = tworelay("analyze", path, "--json", "-")
-    assert done.returncode == 0, done.stderr
-    result = json.loads(done.stdout)
-    assert set(result["methods"]) == {"lock-in", "modulating"}, "two oscillations of one period"
-    assert result["methods"]["lock-in"]["coulomb"] == pytest.approx(value, rel=0.01)
-    assert result["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.01)
+    for method in ("auto", "lock-in", "modulating"):
+        done = tworelay("analyze", path, "--method", method, "--json", "-")
+        assert done.returncode == 0, done.stderr
+        result = json.loads(done.stdout)
+        assert set(result["methods"]) == {"output-error" if method == "auto" else method}
+        assert result["friction"]["coulomb"]["value"] == pytest.approx(value, rel=0.01)
+        assert result["friction"]["coulomb"]["value"] == pytest.approx(0.1, rel=0.01)
 
 
 def test_constant_speeds_in_one_file(tworelay: Tworelay, tmp_path: Path) -> None:

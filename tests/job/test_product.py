@@ -79,7 +79,7 @@ def test_results_keep_to_the_json_schema(tworelay: Tworelay) -> None:
     result = json.loads(every.stdout)
     jsonschema.validate(result, SCHEMA)
     assert set(result["methods"]) == {
-        "modulating", "lock-in", "two-relay", "two-relay-delay", "phase-locked",
+        "output-error", "modulating", "lock-in", "two-relay", "two-relay-delay", "phase-locked",
     }  # fmt: skip
     page = tworelay("report", "last")
     assert "Modulating functions" in Path(page.stdout.strip()).read_text("utf-8")

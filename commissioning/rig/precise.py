@@ -1,0 +1,114 @@
+"""Output error: as few periods as the precision asks for."""
+
+from __future__ import annotations
+
+from commissioning.errors import MeasurementRejected
+from commissioning.experiments.oscillations import Stretch
+from commissioning.identification.errors import NotShown
+from commissioning.identification.motion import Model
+from commissioning.identification.output_error import OutputErrorEstimate, output_error
+from commissioning.identification.verdict import of_output_error
+from commissioning.result.readings import MethodName
+from commissioning.rig.measured import Measured
+from commissioning.rig.oscillated import knob, oscillate, read_by_law, shown
+from commissioning.rig.ready import Ready
+
+__all__ = ["attempted", "positions", "precise", "unexplained"]
+
+_FIRST, _MOST = 2, 12  # periods of relay and of oscillator at first, and of both at most
+_MOST_DESIGNS = 2  # how often the oscillations are chosen anew
+_GROWS = 1.2  # more periods than the square of what the interval lacks asks for
+
+
+def unexplained(measured: Measured) -> str:
+    """Why the positions do not give the number."""
+    found = measured.output_error
+    if found is None:
+        return "four periods show no rigid axis"
+    return f"a rigid axis leaves {100 * found.misfit:.2g} % of the friction unexplained"
+
+
+def attempted(ready: Ready) -> Measured | None:
+    """The same where it need not be: None where the axis does not oscillate in so few periods."""
+    try:
+        return _measured(ready)
+    except MeasurementRejected as error:
+        ready.context.detail(str(error))
+        return None
+
+
+def precise(ready: Ready) -> Measured:
+    """Relay and oscillator, two periods each, and again until the interval is as asked.
+
+    Raises MeasurementRejected.
+    """
+    measured = _measured(ready)
+    if measured.output_error is None:
+        raise NotShown("no rigid axis moves like this")
+    return measured
+
+
+def positions(measured: Measured) -> bool:
+    """Read the positions of another method's record, too; whether that gives the number."""
+    try:
+        fitted = _fitted(measured.ready, measured)
+    except NotShown:
+        return False
+    if not fitted.is_explained:
+        return False
+    ready = measured.ready
+    measured.by[MethodName.OUTPUT_ERROR] = fitted
+    measured.reasons = of_output_error(fitted, ready.options.precision, ready.units)
+    read_by_law(measured)
+    return True
+
+
+def _measured(ready: Ready) -> Measured:
+    spans: list[tuple[float, float]] = []
+    before: Measured | None = None
+    count, periods, used, designs = _FIRST, 0, 0, 0
+    while True:
+        found = oscillate(
+            ready, _FIRST, (Stretch(2, count, count),), knob=knob(before) if before else None
+        )
+        periods, used = periods + found.periods, used + found.periods
+        spans.append((found.begin, found.end))
+        now = shown(ready, found, ready.records(spans), periods=periods)
+        now.spans = tuple(spans)
+        if before is not None:  # the first relay found its period by itself
+            now.relay, now.shown = before.relay, (before.shown[0], now.shown[1])
+        try:
+            fitted = _fitted(ready, now)
+        except NotShown:
+            return now
+        again = None
+        if fitted.is_explained and before is None and designs < _MOST_DESIGNS:
+            again = ready.redesigned(fitted)
+        if again is not None:
+            ready, spans, used, designs = again, [], 0, designs + 1
+            continue
+        now.by[MethodName.OUTPUT_ERROR] = fitted
+        wanted, half = ready.options.precision, fitted.coulomb.half_width
+        now.reasons = of_output_error(fitted, wanted, ready.units)
+        left = _MOST - used
+        if fitted.is_explained and half > wanted and left >= 2 * _FIRST:
+            asked = used * min(_GROWS * (half / wanted) ** 2, _MOST) - used
+            count = min(max(round(asked) - _FIRST, _FIRST), left - _FIRST)
+            ready.context.detail(
+                f"±{100 * half:.2g} % after {used} periods, ±{100 * wanted:.2g} % are asked for: "
+                f"{_FIRST + count} more"
+            )
+            before = now
+            continue
+        read_by_law(now)
+        return now
+
+
+def _fitted(ready: Ready, measured: Measured) -> OutputErrorEstimate:
+    """From what the first motions have shown."""
+    known = ready.known
+    start = Model(known.inertia, known.viscous, known.offset, known.dead_time)
+    return output_error(
+        measured.record, start, known.coulomb, noise=ready.context.noise,
+        rotary=ready.units.position == "rad", spans=measured.spans,
+    )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,18 +19,34 @@ _STEP = 1e-4  # of a parameter's scale, for differences
 _STATE_PASSES = 3
 
 
-def coulomb_bound(record: Record, truth: PlantParameters, delay: float, noise: float) -> float:
+def coulomb_bound(
+    record: Record,
+    truth: PlantParameters,
+    delay: float,
+    noise: float,
+    spans: Sequence[tuple[float, float]] = (),
+) -> float:
     """Smallest standard deviation of the Coulomb friction of any unbiased estimator, N.m.
 
-    J, B, f, offset, dead time, lag and the initial position and speed are unknown; the positions
-    have white noise. The true parameters are taken, the initial state is fitted to the record.
+    J, B, f, offset, dead time, lag and the initial position and speed of each span are unknown; the
+    positions have white noise. The true parameters are taken, the initial states are fitted.
 
     Parameters
     ----------
     truth : of the axis
     delay : s, from a command to its torque
     noise : rms of a position, rad
+    spans : begin and end of what was used, s; (): all of the record
     """
+    parts = [record.between(begin, end) for begin, end in spans] or [record]
+    information = np.sum([_information(part, truth, delay) for part in parts], axis=0)
+    size = np.sqrt(np.diag(information))
+    variance = np.linalg.pinv(information / np.outer(size, size))[2, 2] / size[2] ** 2
+    return float(noise * np.sqrt(variance))
+
+
+def _information(record: Record, truth: PlantParameters, delay: float) -> Array:
+    """Of the parameters, (6, 6), the initial state eliminated."""
     lag = max(truth.lag, 1e-5)
     values = np.array([truth.inertia, truth.viscous, truth.coulomb, truth.load, delay, lag])
     speeds = np.abs(np.diff(record.position) / np.diff(record.time))
@@ -52,11 +69,10 @@ def coulomb_bound(record: Record, truth: PlantParameters, delay: float, noise: f
         state = state + np.linalg.lstsq(columns, rest, rcond=None)[0]
     left = _columns(lambda p: moved(p, state), values, _STEP * scale)
     right = _columns(lambda s: moved(values, s), state, 0.01 * state_scale)
-    both = np.column_stack((left, right))
-    size = np.linalg.norm(both, axis=0)
-    information = (both / size).T @ (both / size)
-    variance = np.linalg.pinv(information)[2, 2] / size[2] ** 2
-    return float(noise * np.sqrt(variance))
+    q, _ = np.linalg.qr(right)
+    own = left - q @ (q.T @ left)
+    result: Array = own.T @ own
+    return result
 
 
 def _columns(function, at: Array, steps: Array) -> Array:  # type: ignore[no-untyped-def]

@@ -18,6 +18,7 @@ from commissioning.result.words import (
     interval,
     nothing_proposed,
     number,
+    repeated,
     why_not,
 )
 
@@ -50,7 +51,7 @@ def summary(result: RunResult, screen: Screen) -> None:
     rows = [
         [name, number(q.value, q.unit), interval(q.low, q.high), _in_drive(q)]
         for key, name in QUANTITY_LABELS.items()
-        if (q := found.quantity(key)) is not None
+        if (q := getattr(found, key)) is not None
     ]
     screen.table(f"found by {found.method}", ["", "value", "interval", "drive's unit"], rows)
     f, offset = found.coulomb, found.offset
@@ -60,6 +61,8 @@ def summary(result: RunResult, screen: Screen) -> None:
             f"torque that overcomes friction and offset: {up:+.4g} {f.unit} one way, "
             f"{down:+.4g} {f.unit} the other"
         )
+    if result.experiment is not None and result.experiment.spread is not None and f is not None:
+        screen.say(repeated(result.experiment, f))
     points(result, screen)
     quality, watched = result.quality, result.experiment
     if watched is not None:

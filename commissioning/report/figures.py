@@ -29,10 +29,12 @@ __all__ = [
     "friction_curve",
     "loci",
     "loci_svg",
+    "narrows",
     "nyquist",
     "oscillations",
     "overview",
     "phase_plane",
+    "progress",
     "tests_over_time",
     "tuning",
 ]
@@ -367,6 +369,42 @@ def friction_curve(result: RunResult) -> str:
         axes.set_xlabel(f"speed in {units.position}/s")
         axes.set_ylabel(f"friction in {units.effort}")
         axes.legend(loc="lower right", fontsize=8)
+        return _svg(figure)
+
+
+def narrows(result: RunResult) -> bool:
+    """Whether there is something to be seen of what fewer periods would have given."""
+    found = result.methods.output_error
+    return found is not None and len(found.progress) > 1
+
+
+def progress(result: RunResult) -> str:
+    """The interval of the friction over the periods that it was measured by."""
+    found, f = result.methods.output_error, result.friction.coulomb
+    assert found is not None
+    steps = found.progress
+    periods = [one.periods for one in steps]
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(9.4, 2.6), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        value = f.value if f else steps[-1].coulomb
+        middle = [one.coulomb for one in steps]
+        arms = [
+            [one.coulomb - one.low for one in steps], [one.high - one.coulomb for one in steps],
+        ]  # fmt: skip
+        left.errorbar(
+            periods, middle, arms, color=BLUE, marker="o", ms=4, lw=1.2, capsize=3,
+            label="friction and its interval",
+        )  # fmt: skip
+        left.axhline(value, color=ORANGE, lw=1.1, ls="--", label="the number")
+        left.set_ylabel(f"friction in {result.units.effort}")
+        left.legend(loc="upper right", fontsize=7)
+        widths = [50 * (one.high - one.low) / abs(value) for one in steps]
+        right.semilogy(periods, widths, color=BLUE, marker="s", ms=4, lw=1.2)
+        right.set_ylabel("half of the interval in %")
+        for axes in (left, right):
+            axes.set_xlabel("periods")
+            axes.xaxis.get_major_locator().set_params(integer=True)
         return _svg(figure)
 
 

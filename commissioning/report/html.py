@@ -63,6 +63,8 @@ def _pictures(result: RunResult, samples: Samples | None) -> Iterator[tuple[str,
         if figures.oscillations(result):
             yield "tests", figures.tests_over_time(samples, result)
             yield "phase_plane", figures.phase_plane(samples, result)
+    if figures.narrows(result):
+        yield "progress", figures.progress(result)
     if result.friction.curve is not None:
         yield "curve", figures.friction_curve(result)
     if figures.oscillations(result) and result.critical_point and result.friction.coulomb:
@@ -91,7 +93,8 @@ def _render(result: RunResult, samples: Samples | None, history: History) -> str
             for name, svg in _pictures(result, samples)
             if svg
         },
-        quantities=[(_QUANTITIES[key], result.friction.quantity(key)) for key in QUANTITIES],
+        quantities=[(_QUANTITIES[key], result.friction.quantity(key)) for key in QUANTITIES]
+        + ([("of it a lag of the torque", lag)] if (lag := result.friction.lag) else []),
         points=[
             (_POINTS[key], point)
             for key in POINTS

@@ -37,7 +37,8 @@ Curves = dict[
     str, tuple[tuple[float, ...], ...]
 ]  # pictures' columns by name: they lie beside the result
 
-_NUMBERS = (*QUANTITIES, "low_speed")
+_NUMBERS = (*QUANTITIES, "lag", "low_speed")
+_UNITS = {"low_speed": "coulomb", "lag": "dead_time"}  # of the quantity that it is one of
 _BEFORE = "tworelay.run/1"
 _WRONG = TypeError, ValueError, AttributeError, LookupError, ArithmeticError, RecursionError
 
@@ -55,7 +56,7 @@ def encode(result: RunResult) -> Tree:
     tree: Tree = tree_of(result)
     for name in _NUMBERS:
         if tree["friction"][name] is None:
-            unit = result.units.of_quantity("coulomb" if name == "low_speed" else name)
+            unit = result.units.of_quantity(_UNITS.get(name, name))
             tree["friction"][name] = _not_measured(unit)
     tree["methods"] = {
         name.replace("_", "-"): reading

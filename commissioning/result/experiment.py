@@ -129,6 +129,8 @@ class Experiment:
     complex_coulomb : that puts the relay's locus on the plant, N.m or N
     tests : relay tests that the thesis' method took
     repeats : Coulomb friction of each repeat, N.m or N
+    spread : standard deviation of the repeats, about their drift where they drift, N.m or N
+    drift : of the repeats, N.m/s or N/s, and the ends of its interval; None of fewer than three
     analysed : begin and end of each stretch that the numbers are of, s; of repeats the last
     """
 
@@ -143,5 +145,7 @@ class Experiment:
     complex_coulomb: Pair | None = None
     tests: Count = 0
     repeats: tuple[Finite, ...] = ()
+    spread: Finite | None = None
+    drift: tuple[Finite, Finite, Finite] | None = None
     setup: Setup | None = None
     analysed: tuple[Pair, ...] = ()

@@ -105,7 +105,8 @@ class Found:
     coulomb, offset : N.m or N
     viscous : N.m.s/rad or N.s/m
     inertia : kg.m2 or kg
-    dead_time : s
+    dead_time : s, at the period of the oscillations
+    lag : what of it is a lag of the torque, first order, s
     low_speed : friction just above rest, N.m or N
     """
 
@@ -115,6 +116,7 @@ class Found:
     viscous: Quantity | None = None
     inertia: Quantity | None = None
     dead_time: Quantity | None = None
+    lag: Quantity | None = None
     low_speed: Quantity | None = None
     curve: Curve | None = None
 

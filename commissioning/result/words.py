@@ -9,7 +9,8 @@ from math import floor, log10
 from commissioning.result.changes import Change, Host
 from commissioning.result.document import RunResult
 from commissioning.result.endings import AxisState, CompensationState, DriveState, SettingsState
-from commissioning.result.found import Units
+from commissioning.result.experiment import Experiment
+from commissioning.result.found import Quantity, Units
 from commissioning.result.worth import GainSet, Verification
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "number",
     "percent",
     "remaining",
+    "repeated",
     "unit",
     "why_not",
 ]
@@ -44,6 +46,7 @@ QUANTITY_LABELS = {
     "viscous": "viscous friction B",
     "inertia": "inertia J",
     "dead_time": "dead time",
+    "lag": "of it a lag",
 }
 POINT_LABELS = {
     "naive": "naive: a relay autotuner",
@@ -74,6 +77,16 @@ VERDICTS = {
 def number(value: float | None, of: str = "") -> str:
     """Four digits and the unit, or a dash."""
     return "–" if value is None else f"{value:.4g} {of}".rstrip()
+
+
+def repeated(watched: Experiment, friction: Quantity) -> str:
+    """What repeats scatter by, and whether they drift."""
+    share = 100 / abs(friction.value) if friction.value else 0.0
+    text = f"{len(watched.repeats)} repeats: spread ±{(watched.spread or 0.0) * share:.2g} %"
+    if watched.drift is None:
+        return text
+    drift, low, high = (60 * share * value for value in watched.drift)
+    return f"{text}, drift {drift:+.2g} % a minute ({low:+.2g} … {high:+.2g} %)"
 
 
 def measured(value: float, low: float | None, high: float | None, of: str = "") -> str:

@@ -14,6 +14,7 @@ from commissioning.identification.estimate import Estimate
 from commissioning.identification.modulating import ModulatingEstimate
 from commissioning.identification.output_error import OutputErrorEstimate
 from commissioning.identification.reasons import Reason, Weight, verdict, weightiest_first
+from commissioning.identification.repeats import Repeats, mean_of
 from commissioning.identification.steady import SteadyFit
 from commissioning.result.document import Quality, RunResult
 from commissioning.result.experiment import Allowed, Experiment, Oscillated
@@ -40,6 +41,7 @@ __all__ = [
     "found_of",
     "judged",
     "quantity",
+    "repeated_of",
 ]
 
 _SPEEDS = 40  # points of a friction curve
@@ -85,7 +87,7 @@ def found_of(repeats: Sequence[Measured], units: Units, raw: Raw) -> Found:
         estimates = [one.estimate(name) for one in repeats]
         known = [estimate for estimate in estimates if estimate is not None]
         if len(known) == len(repeats):
-            mean = _mean(known)
+            mean = mean_of(known)
             numbers[name] = quantity(mean, units.of_quantity(name), raw(name, mean.value))
     # a law that does not explain the record says nothing of the curve
     told = [one.output_error or one.modulating for one in repeats if one.preferred is None]
@@ -95,20 +97,15 @@ def found_of(repeats: Sequence[Measured], units: Units, raw: Raw) -> Found:
         curve = curve_of(fits, fits[-1].peak_speed)
         value = float(np.mean([fit.low_speed for fit in fits]))
         low_speed = Quantity(value, None, None, units.effort, *raw("coulomb", value))
-    return Found(repeats[-1].method, **numbers, low_speed=low_speed, curve=curve)
+    lags = [one.output_error.lag for one in repeats if one.output_error is not None]
+    lag = quantity(mean_of(lags), units.dead_time) if len(lags) == len(repeats) else None
+    return Found(repeats[-1].method, **numbers, lag=lag, low_speed=low_speed, curve=curve)
 
 
-def _mean(estimates: Sequence[Estimate]) -> Estimate:
-    """Mean of repeats; its interval holds theirs and the scatter."""
-    if len(estimates) == 1:
-        return estimates[0]
-    from scipy.stats import t
-
-    values = [one.value for one in estimates]
-    half = float(t.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / len(values) ** 0.5)
-    mean = float(np.mean(values))
-    low, high = min(one.low for one in estimates), max(one.high for one in estimates)
-    return Estimate(mean, min(low, mean - half), max(high, mean + half))
+def repeated_of(repeats: Sequence[Measured], began: float) -> Repeats:
+    """Coulomb friction of each repeat, its spread and drift; `began`: of the run, s."""
+    times = [float(one.record.time.mean()) - began for one in repeats]
+    return Repeats.of([one.found.coulomb for one in repeats], times)
 
 
 def curve_of(

@@ -331,6 +331,7 @@ def _told_by_positions(
         friction=Found(
             "output-error",
             **numbers,
+            lag=quantity(found.lag, units.dead_time),
             low_speed=Quantity(found.low_speed, None, None, units.effort),
             curve=curve_of([found], found.peak_speed),
         ),

@@ -26,6 +26,7 @@ from commissioning.identification.followed import (
     torque_gain,
 )
 from commissioning.identification.reasons import Reason, Weight
+from commissioning.identification.repeats import Repeats
 from commissioning.result.document import RunResult
 from commissioning.result.experiment import Bases, Experiment, FirstLookReading, Setup
 from commissioning.rig.armed import in_a_run
@@ -37,6 +38,7 @@ from commissioning.rig.results import (
     experiment,
     found_of,
     judged,
+    repeated_of,
 )
 from commissioning.rig.rig import Rig
 from commissioning.runner import Recorder
@@ -48,6 +50,7 @@ __all__ = ["identify"]
 
 _LEAST_PERIOD = 20  # dead times, for the methods of the thesis
 _LEAST_CYCLES = 25, 15  # a period, for the methods of the thesis and for the others
+_MUCH_DRIFT = 0.1  # of the friction, from the first repeat to the last
 _MANY_LATE = 0.01  # of the cycles
 _ELASTIC = {"fit.unexplained", "balance.harmonics"}
 _LIMITED_SHARE, _MUCH_LIMITED = 0.002, 0.2  # of the cycles
@@ -75,6 +78,8 @@ def _measured(result: RunResult, repeats: Sequence[Measured], rig: Rig) -> RunRe
     drive, recorder, last = rig.drive, rig.recorder, repeats[-1]
     right, complex_coulomb = _right_point(last)
     watched = experiment(recorder, drive.cycle, sum(one.periods for one in repeats), rig.allowed)
+    together = repeated_of(repeats, recorder.samples[0].sent)
+    drift = together.drift
     result = replace(
         result,
         friction=found_of(repeats, result.units, rig.as_the_drive_counts),
@@ -85,7 +90,9 @@ def _measured(result: RunResult, repeats: Sequence[Measured], rig: Rig) -> RunRe
             cycles=cycles(last.shown, recorder.samples[0].sent),
             complex_coulomb=(complex_coulomb.real, complex_coulomb.imag),
             tests=last.tests,
-            repeats=tuple(one.found.coulomb.value for one in repeats),
+            repeats=together.values,
+            spread=together.spread if len(repeats) > 1 else None,
+            drift=None if drift is None else (drift.value, drift.low, drift.high),
             setup=_setup(rig, last),
             analysed=tuple(
                 (begin - recorder.samples[0].sent, end - recorder.samples[0].sent)
@@ -94,7 +101,8 @@ def _measured(result: RunResult, repeats: Sequence[Measured], rig: Rig) -> RunRe
             ),
         ),
     )
-    reasons = [*_of_repeats(repeats), *_reasons(last, recorder.samples, drive.cycle)]
+    reasons = [*_of_drift(together), *_of_repeats(repeats)]
+    reasons += _reasons(last, recorder.samples, drive.cycle)
     return judged(result, [*_of_jitter(watched, reasons), *reasons])
 
 
@@ -123,6 +131,25 @@ def _of_repeats(repeats: Sequence[Measured]) -> list[Reason]:
             if (reason.code, reason.weight) not in known
         ]
     return reasons
+
+
+def _of_drift(together: Repeats) -> list[Reason]:
+    """Repeats that go one way."""
+    drift, mean = together.drift, together.mean.value
+    if drift is None or drift.low <= 0 <= drift.high or not mean:
+        return []
+    share, minute = 100 / abs(mean), 60.0
+    moved = abs(drift.value) * (together.times[-1] - together.times[0]) / abs(mean)
+    return [
+        Reason(
+            "repeats.drift",
+            Weight.DOUBT if moved > _MUCH_DRIFT else Weight.NOTE,
+            f"the friction drifts by {drift.value * share * minute:+.2g} % a minute "
+            f"({drift.low * share * minute:+.2g} … {drift.high * share * minute:+.2g} %), "
+            f"{100 * moved:.2g} % over the {len(together.values)} repeats: the number is their "
+            "mean; does the axis warm up?",
+        )
+    ]
 
 
 def _of_jitter(watched: Experiment, reasons: list[Reason]) -> list[Reason]:

@@ -54,6 +54,7 @@ class Keys(Strict):
     twin: str | None = None  # virtual axis that stands for it in a rehearsal
     fraction: Annotated[float, Field(ge=0, le=1)] | None = None
     method: MethodName | None = None
+    precision: Annotated[float, Field(gt=0, le=1)] | None = None
     solver: Literal["bracket", "thesis"] | None = None
     repeat: Annotated[int, Field(ge=1, le=50)] | None = None
     points: bool | None = None
@@ -66,7 +67,8 @@ class Keys(Strict):
 
 
 OF_THE_JOB = (
-    "fraction", "method", "solver", "repeat", "points", "output_filter", "without_watchdog",
+    "fraction", "method", "precision", "solver", "repeat", "points", "output_filter",
+    "without_watchdog",
 )  # fmt: skip
 LIMITS = {  # option of the job → the limit of the axis that it is
     "max_torque": "torque", "max_speed": "speed", "duration": "duration", "watchdog": "watchdog",

@@ -37,7 +37,6 @@ _HALVES, _WIDTHS, _LEFT = 0.02, 0.05, 0.012
 _BEYOND_NOISE = 1.5  # times what the resolution leaves
 
 _REJECTED_LEFT = 0.12  # of the torque unexplained
-_REJECTED_MISFIT = 0.25  # of the friction
 _WIDE, _REJECTED_WIDTH = 0.04, 0.3  # half of f's interval, of f
 _CONDITION = 200.0
 _FEW_PERIODS, _WHOLE = 6.0, 0.1  # what is cut off at both ends is no period less
@@ -261,9 +260,12 @@ def of_output_error(found: OutputErrorEstimate, wanted: float, units: UnitNames)
     if not found.is_explained:
         add(
             "positions.unexplained",
-            Weight.CONTRADICTION if found.misfit > _REJECTED_MISFIT else Weight.DOUBT,
-            f"a rigid axis leaves {100 * found.misfit:.2g} % of the friction unexplained in the "
-            "positions: the axis is elastic, or its friction is of another kind (--method auto "
+            Weight.CONTRADICTION,
+            "friction that falls with the speed would explain the positions as well (--method auto "
+            "looks for it)"
+            if found.bends
+            else f"a rigid axis leaves {100 * found.misfit:.2g} % of the friction unexplained in "
+            "the positions: the axis is elastic, or its friction is of another kind (--method auto "
             "looks for it)",
         )
     if found.is_explained and _WIDE >= f.half_width > wanted:

@@ -25,6 +25,8 @@ def unexplained(measured: Measured) -> str:
     found = measured.output_error
     if found is None:
         return "four periods show no rigid axis"
+    if found.bends:
+        return "friction that falls with the speed would explain the positions as well"
     return f"a rigid axis leaves {100 * found.misfit:.2g} % of the friction unexplained"
 
 

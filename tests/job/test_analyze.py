@@ -214,12 +214,20 @@ def test_one_sine_is_read(tworelay: Tworelay, tmp_path: Path) -> None:
     assert result["methods"]["modulating"]["law"]["terms"] == ["coulomb", "viscous"]
 
 
-@pytest.mark.parametrize("link", ["virtual://bench", "virtual://epos-screw"])
+@pytest.mark.parametrize(
+    ("link", "options", "stretches"),
+    [
+        ("virtual://bench", (), 1),
+        ("virtual://bench", ("--precision", "0,001 %"), 2),
+        ("virtual://epos-screw", (), 1),
+    ],
+)
 def test_a_run_s_own_export_gives_its_own_number(
-    tworelay: Tworelay, tmp_path: Path, link: str
+    tworelay: Tworelay, tmp_path: Path, link: str, options: tuple[str, ...], stretches: int
 ) -> None:
     """Of the oscillations alone, and of all samples: the file says what was analysed."""
-    measured = json.loads(tworelay("identify", link, "--yes", "--json", "-").stdout)
+    measured = json.loads(tworelay("identify", link, *options, "--yes", "--json", "-").stdout)
+    assert len(measured["experiment"]["analysed"]) == stretches
     assert tworelay("export", "last", str(tmp_path / "run")).returncode == 0
     for name in ("oscillations.csv", "samples.csv"):
         done = tworelay("analyze", str(tmp_path / "run" / name), "--json", "-")

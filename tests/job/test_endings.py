@@ -6,6 +6,7 @@ import contextlib
 import json
 import re
 import signal
+import statistics
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
@@ -231,6 +232,13 @@ def test_the_mean_of_the_repeats_is_what_is_shown_and_proposed(
     repeats = result["experiment"]["repeats"]
     mean = sum(repeats) / 4
     assert len(set(repeats)) == 4
+    assert result["experiment"]["spread"] == pytest.approx(statistics.stdev(repeats))
+    slope, low, high = result["experiment"]["drift"]
+    assert low < slope < high
+    shown = tworelay("report", "last")
+    page = Path(shown.stdout.strip()).read_text("utf-8")
+    assert "4 repeats: spread ±" in page
+    assert "% a minute" in page
     coulomb = result["friction"]["coulomb"]
     assert coulomb["value"] == pytest.approx(mean, rel=1e-12)
     assert abs(mean / repeats[-1] - 1) > 1e-5, "else this shows nothing"

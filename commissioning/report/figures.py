@@ -13,6 +13,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from commissioning.identification.describing_function import equivalent, inverse_locus, relay
@@ -398,10 +399,13 @@ def progress(result: RunResult) -> str:
         )  # fmt: skip
         left.axhline(value, color=ORANGE, lw=1.1, ls="--", label="the number")
         left.set_ylabel(f"friction in {result.units.effort}")
-        left.legend(loc="upper right", fontsize=7)
+        left.legend(loc="lower right", fontsize=7)
         widths = [50 * (one.high - one.low) / abs(value) for one in steps]
         right.semilogy(periods, widths, color=BLUE, marker="s", ms=4, lw=1.2)
         right.set_ylabel("half of the interval in %")
+        right.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        right.yaxis.set_minor_locator(NullLocator())
+        right.yaxis.set_major_formatter(lambda value, _: f"{value:.2g}")
         for axes in (left, right):
             axes.set_xlabel("periods")
             axes.xaxis.get_major_locator().set_params(integer=True)

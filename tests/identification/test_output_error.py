@@ -131,7 +131,7 @@ def test_it_ends_in_the_same_place_from_anywhere_near() -> None:
 def test_what_fewer_periods_would_have_given_narrows_down_to_the_number() -> None:
     found = fitted(relay_tests())
     widths = [one.coulomb.high - one.coulomb.low for one in found.progress]
-    assert [one.periods for one in found.progress] == list(range(3, 3 + len(widths)))
+    assert [one.periods for one in found.progress] == list(range(2, 2 + len(widths)))
     assert len(widths) >= 6
     assert widths == sorted(widths, reverse=True)
     assert all(holds(one.coulomb, 0.1) for one in found.progress)

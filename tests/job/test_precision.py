@@ -15,7 +15,7 @@ def test_the_interval_ends_the_measurement_and_the_report_shows_it(tworelay: Two
     result = json.loads(done.stdout)
     assert result["experiment"]["periods"] == 4
     reading = result["methods"]["output-error"]
-    assert [step["periods"] for step in reading["progress"]] == [3, 4]
+    assert [step["periods"] for step in reading["progress"]] == [2, 3, 4]
     lag = result["friction"]["lag"]
     assert lag["low"] <= 0 <= lag["value"] <= lag["high"] < 2e-3
     page = Path(tworelay("report", "last").stdout.strip()).read_text("utf-8")

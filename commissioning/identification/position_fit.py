@@ -27,6 +27,7 @@ _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e-13, 1e3
 _EASIER = 30.0  # by which damping is divided after a step that was good
 _DONE = 0.02  # of what one standard error changes the cost by: a step that brings less is the last
 WHITE, NOISY = 1.35, 2.5
+_PLAIN = 2.0, 1.1  # colour, and times the noise
 _MANY_SAMPLES, _SOME_SAMPLES, _MISFIT = 40, 20, 0.03
 _DEARER = 10.0  # by which (n/κ)·ln(c₀/c₁) must exceed k·ln n for a term of k numbers
 _BLOCKS = 16  # a period, by which colour is judged
@@ -57,6 +58,7 @@ class PositionFit:
     @classmethod
     def begun(cls, segments: Segments, model: Model, f: float, noise: float) -> PositionFit:
         """From what is known."""
+        segments = segments.begun_between(model.dead_time)
         parameters = np.zeros(len(SEEN))
         delay = max(model.dead_time, 0.1 * segments.step)
         lag = min(0.5 * delay, 0.5 * segments.step)
@@ -68,8 +70,8 @@ class PositionFit:
 
     def on(self, segments: Segments) -> PositionFit:
         """The same law on other segments."""
-        before = self.segments.time[:, 0]
-        same = np.abs(segments.time[:, :1] - before) < 0.5 * segments.step
+        segments = segments.begun_between(float(self.parameters[_DELAY]))
+        same = np.abs(segments.begin[:, None] - self.segments.begin) < 1e-3 * segments.step
         states = np.where(
             np.any(same, axis=1)[:, None], self.states[same.argmax(axis=1)], segments.first_states()
         )
@@ -140,6 +142,12 @@ class PositionFit:
         h, g, inverse = reduced(damping)
         moved = np.zeros(len(g))
         moved[free] = np.linalg.lstsq(h[within], g[free], rcond=1e-13)[0]
+        least = -self.parameters[_LAG] / self.scale[_LAG]
+        if moved[lag] < least:  # to where it is none, and the others as is best for that
+            free[lag] = False
+            moved[lag] = least
+            rest_of = g[free] - h[free][:, [lag]] @ moved[[lag]]
+            moved[free] = np.linalg.lstsq(h[np.ix_(free, free)], rest_of, rcond=1e-13)[0]
         by_states = np.einsum("sij,sj->si", inverse, rest - np.einsum("sip,p->si", both, moved))
         parameters = self.parameters.copy()
         parameters[list(self.which)] += moved * self.scale[list(self.which)]
@@ -196,6 +204,8 @@ class PositionFit:
     @property
     def is_white(self) -> bool:
         """Whether what is left is noise."""
+        if self.variance < _PLAIN[1] ** 2 * self.floor and self.colour < _PLAIN[0]:
+            return True  # what is left is no more than the position's own noise
         if not self.colour < WHITE:
             return False
         samples = self.segments.period / self.segments.step

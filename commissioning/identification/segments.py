@@ -60,6 +60,7 @@ class Segments:
     Attributes
     ----------
     torque : the commands
+    begin : (s,) where the states are, s
     time, position : (s, n) s, rad or m
     is_there : (s, n) whether it is a sample
     period, step : typical ones, s
@@ -69,6 +70,7 @@ class Segments:
     """
 
     torque: Torque
+    begin: Array
     time: Array
     position: Array
     is_there: NDArray[np.bool_]
@@ -90,15 +92,28 @@ class Segments:
         """From the first sample to the last, s."""
         return float(self.time.max() - self.time.min())
 
+    def begun_between(self, delay: float) -> Segments:
+        """With states that lie between two changes of the torque, which come `delay` s late.
+
+        A torque that changes with its lag just where a state is free would be taken for the state.
+        """
+        edges = self.torque.time + delay
+        first = self.time[:, 0]
+        last = np.maximum(np.searchsorted(edges, first, side="right") - 1, 0)
+        near, before = edges[last], edges[np.maximum(last - 1, 0)]
+        between = 0.5 * (near + np.maximum(before, near - self.step))
+        is_near = (first - near < 2 * self.step) & (first >= near)
+        return replace(self, begin=np.where(is_near, between, first))
+
     def first_states(self) -> Array:
         """Position and speed at the begins, (s, 2), by a parabola through the first samples."""
         found = np.empty((len(self.time), 2))
-        for k, (time, y, is_there) in enumerate(
-            zip(self.time, self.position, self.is_there, strict=True)
+        for k, (begin, time, y, is_there) in enumerate(
+            zip(self.begin, self.time, self.position, self.is_there, strict=True)
         ):
             count = max(int(np.searchsorted(time, time[0] + _AROUND * self.period)), 3)
             count = min(count, int(is_there.sum()))
-            _, slope, level = np.polyfit(time[:count] - time[0], y[:count], min(2, count - 1))
+            _, slope, level = np.polyfit(time[:count] - begin, y[:count], 2)
             found[k] = level, slope
         return found
 
@@ -114,7 +129,7 @@ class Segments:
     def positions_at(self, parameters: Array, states: Array, time: Array) -> Array:
         """Of the model at other instants (s, n), s; `parameters`: (12,)."""
         rows = np.broadcast_to(parameters, (len(time), len(SEEN)))
-        return self._simulated(rows, states, time)
+        return self._simulated(rows, states, self.begin, time)
 
     def answer(self, parameters: Array, states: Array, which: list[int], steps: Array) -> Answers:
         """To small changes of some parameters and of all first states.
@@ -135,9 +150,8 @@ class Segments:
             rows[n + 1 :: each, number] += steps[number]
         for n in range(2):
             initial[1 + p + n :: each, n] += small[n]
-        found = self._simulated(rows, initial, np.repeat(self.time, each, axis=0)).reshape(
-            count, each, -1
-        )
+        begin, time = (np.repeat(one, each, axis=0) for one in (self.begin, self.time))
+        found = self._simulated(rows, initial, begin, time).reshape(count, each, -1)
         base = found[:, :1]
         moved = np.where(self.is_there[:, None], found[:, 1:] - base, 0.0).transpose(0, 2, 1)
         return Answers(
@@ -146,9 +160,9 @@ class Segments:
             moved[..., p:] / _STATE_STEP,
         )
 
-    def _simulated(self, rows: Array, states: Array, time: Array) -> Array:
+    def _simulated(self, rows: Array, states: Array, begin: Array, time: Array) -> Array:
         axes, cos, sin = rows[:, : len(PARAMETERS)], rows[:, -2:-1], rows[:, -1:]
-        start = Lanes(axes, time[:, 0], states[:, 0], states[:, 1], self.middle, self.centre)
+        start = Lanes(axes, begin, states[:, 0], states[:, 1], self.middle, self.centre)
         x = positions(start, self.torque, time, _LONGEST_STEP * self.period)
         if np.any(rows[:, -2:]):
             x = x + cos * np.cos(x) + sin * np.sin(x)
@@ -193,6 +207,7 @@ def segments_of(
     used = rows[is_there]
     return Segments(
         _relative(Torque.of(record.sent, record.command), origin),
+        time[rows[:, 0]] - origin,
         time[rows] - origin,
         y[rows],
         is_there,

@@ -103,7 +103,9 @@ def positions(lanes: Lanes, torque: Torque, times: Array, longest: float) -> Arr
     which = np.arange(len(times))[:, None]
     elapsed = times - begins[number, which]
     share = elapsed / np.array(steps.length)[number, which]
-    series = np.array(steps.series)
+    series = np.zeros((len(steps.series), max(map(len, steps.series)), len(times)))
+    for row, one in zip(series, steps.series, strict=True):
+        row[: len(one)] = one
     found = series[number, -1, which]
     for term in range(series.shape[1] - 2, -1, -1):
         found = found * share + series[number, term, which]
@@ -183,8 +185,7 @@ def _integrated(lanes: Lanes, torque: Torque, end: Array, longest: float) -> _St
     is_loaded, has_drag = bool(np.any(s.load != 0)), bool(np.any(s.drag != 0))
     cap = np.minimum(longest, _STEEP / np.maximum(np.abs(s.rate), 1e-300))
     cap = np.minimum(cap, _CURVED / np.sqrt(np.maximum(np.abs(s.stiffness), 1e-300)))
-    steepness = float((np.abs(s.rate) * cap).max() + np.sqrt(np.abs(s.stiffness).max()) * cap.max())
-    terms = _MOST_TERMS if has_drag else _terms(steepness)
+    steepness = np.abs(s.rate) + np.sqrt(np.abs(s.stiffness))
     steps = _Steps([], [], [], [])
     value, changes = torque.value, np.append(torque.time[1:], np.inf)
     for _ in range(most):
@@ -204,6 +205,8 @@ def _integrated(lanes: Lanes, torque: Torque, end: Array, longest: float) -> _St
         if np.any(stuck):
             stays, off = s.moves_off(u, h)
             h = np.where(stuck, stays, h)
+        bent = np.abs(s.drag * s.v) * 4 if has_drag else 0.0
+        terms = _terms(float(((steepness + bent) * h).max()))
         series, decaying = _series(s, u, h, tilt, terms, has_drag)
         share = _until_reversal(s, h, series, decaying)
         turned = share < 1

@@ -130,7 +130,7 @@ def test_a_run_that_was_just_measured_is_sound_in_the_index(tworelay: Tworelay) 
     with Journal(home(), reading=True) as journal:
         (entry,), damaged = journal.entries(["bench"])
     assert not damaged
-    assert entry.method == "modulating"
+    assert entry.method == "output-error"
     assert entry.conditions.motor_temperature == 25.0
     assert entry.host
 

@@ -50,7 +50,7 @@ CASES = {
         ("identify", "virtual://vertical"), 0, "completed", "good", "held by its brake", None
     ),
     "at a limit": Case(
-        ("identify", "virtual://bench", "--duration", "3"), 5, "stopped", None, "at rest and off",
+        ("identify", "virtual://bench", "--duration", "2.5"), 5, "stopped", None, "at rest and off",
         "tworelay, at a limit of the experiment",
     ),
     "rejected": Case(
@@ -144,7 +144,7 @@ def test_a_link_that_is_lost_in_motion_leaves_nothing_certain_until_it_is_put_ri
 
     def cut(drive: ProfiledDrive, set_point: float) -> Sample:
         gone.append(1)
-        if len(gone) > 800:
+        if len(gone) > 500:
             drive._bus.close()
             raise LinkLost("the cable was pulled")
         return exchange(drive, set_point)

@@ -49,7 +49,7 @@ def check(result: dict[str, Any], tolerance: float) -> None:
     assert coulomb["value"] == pytest.approx(0.1, rel=tolerance)
     assert coulomb["unit"] == "N.m"
     assert coulomb["low"] < coulomb["value"] < coulomb["high"]
-    assert result["friction"]["method"] == "modulating"
+    assert result["friction"]["method"] == "output-error"
     assert result["friction"]["inertia"]["value"] == pytest.approx(1e-3, rel=tolerance)
 
 

@@ -333,7 +333,7 @@ def test_a_job_does_not_end_because_nobody_reads(
 
 def test_the_list_says_what_was_found_and_what_is_in_the_drive(tworelay: Tworelay) -> None:
     for words in (
-        ("identify", "virtual://bench"), ("identify", "virtual://bench", "--duration", "3"),
+        ("identify", "virtual://bench"), ("identify", "virtual://bench", "--duration", "2.5"),
         ("commission", "virtual://mx106?encoder=131072"),
     ):  # fmt: skip
         tworelay(*words, "--yes")

@@ -17,6 +17,7 @@ __all__ = ["attempted", "positions", "precise", "unexplained"]
 
 _FIRST, _MOST = 2, 12  # periods of relay and of oscillator at first, and of both at most
 _MOST_DESIGNS = 2  # how often the oscillations are chosen anew
+_STARTING, _HEAT_SHARE = 5.0, 0.5  # s to where it begins, at most; of the i²t budget
 _GROWS = 1.2  # more periods than the square of what the interval lacks asks for
 
 
@@ -70,9 +71,15 @@ def _measured(ready: Ready) -> Measured:
     before: Measured | None = None
     count, periods, used, designs = _FIRST, 0, 0, 0
     while True:
-        found = oscillate(
-            ready, _FIRST, (Stretch(2, count, count),), knob=knob(before) if before else None
-        )
+        try:
+            found = oscillate(
+                ready, _FIRST, (Stretch(2, count, count),), knob=knob(before) if before else None
+            )
+        except MeasurementRejected as error:
+            if before is None:
+                raise
+            ready.context.detail(f"no more periods: {error}")
+            break
         periods, used = periods + found.periods, used + found.periods
         spans.append((found.begin, found.end))
         now = shown(ready, found, ready.records(spans), periods=periods)
@@ -83,27 +90,43 @@ def _measured(ready: Ready) -> Measured:
             fitted = _fitted(ready, now)
         except NotShown:
             return now
-        again = None
         if fitted.is_explained and before is None and designs < _MOST_DESIGNS:
             again = ready.redesigned(fitted)
-        if again is not None:
-            ready, spans, used, designs = again, [], 0, designs + 1
-            continue
+            if again is not None:
+                ready, spans, used, designs = again, [], 0, designs + 1
+                continue
         now.by[MethodName.OUTPUT_ERROR] = fitted
-        wanted, half = ready.options.precision, fitted.coulomb.half_width
-        now.reasons = of_output_error(fitted, wanted, ready.units)
-        left = _MOST - used
-        if fitted.is_explained and half > wanted and left >= 2 * _FIRST:
-            asked = used * min(_GROWS * (half / wanted) ** 2, _MOST) - used
-            count = min(max(round(asked) - _FIRST, _FIRST), left - _FIRST)
-            ready.context.detail(
-                f"±{100 * half:.2g} % after {used} periods, ±{100 * wanted:.2g} % are asked for: "
-                f"{_FIRST + count} more"
-            )
-            before = now
-            continue
-        read_by_law(now)
-        return now
+        now.reasons = of_output_error(fitted, ready.options.precision, ready.units)
+        before = now
+        more = _more(ready, now, fitted, used) if fitted.is_explained else None
+        if more is None:
+            break
+        count = more
+    read_by_law(before)
+    return before
+
+
+def _more(ready: Ready, measured: Measured, found: OutputErrorEstimate, used: int) -> int | None:
+    """Further periods of the oscillator, after `used`; None: none are asked for, or left.
+
+    None are left by the number of periods, the time that is allowed, and the motor's heat.
+    """
+    wanted, half = ready.options.precision, found.coulomb.half_width
+    left = _MOST - used
+    if half <= wanted or left < 2 * _FIRST:
+        return None
+    asked = used * min(_GROWS * (half / wanted) ** 2, _MOST) - used
+    count = min(max(round(asked) - _FIRST, _FIRST), left - _FIRST)
+    seconds = (_FIRST + count) * measured.shown[1].cycle.period
+    if _STARTING + seconds > ready.time_left:
+        return None
+    if ready.heat(ready.design.d2, seconds) > _HEAT_SHARE:
+        return None
+    ready.context.detail(
+        f"±{100 * half:.2g} % after {used} periods, ±{100 * wanted:.2g} % are asked for: "
+        f"{_FIRST + count} more"
+    )
+    return count
 
 
 def _fitted(ready: Ready, measured: Measured) -> OutputErrorEstimate:

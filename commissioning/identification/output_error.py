@@ -141,15 +141,29 @@ def output_error(
     """
     candidates = tuple(term for term in _TERMS if rotary or term != "eccentricity")
     with np.errstate(all="ignore"):  # what diverges costs infinitely much
-        fit = PositionFit.begun(segments_of(record, _SEARCH, spans), start, coulomb, noise).solved()
-        if not np.isfinite(fit.cost):
-            raise NotShown("no rigid axis moves like this")
-        fit, bends = _climbed(fit, candidates)
-        last = fit.on(segments_of(record, _LAST, spans)).solved()
-        better = last.colour < WHITE <= fit.colour
-        if not better and not last.variance <= _AS_GOOD**2 * fit.variance:
-            last = fit
-        return _numbers(last, bends, _progress(fit))
+        try:
+            return _fitted(record, start, coulomb, noise, candidates, spans)
+        except np.linalg.LinAlgError:
+            raise NotShown("no rigid axis moves like this") from None
+
+
+def _fitted(
+    record: Record,
+    start: Model,
+    coulomb: float,
+    noise: float,
+    candidates: tuple[Term, ...],
+    spans: Sequence[tuple[float, float]],
+) -> OutputErrorEstimate:
+    fit = PositionFit.begun(segments_of(record, _SEARCH, spans), start, coulomb, noise).solved()
+    if not np.isfinite(fit.cost):
+        raise NotShown("no rigid axis moves like this")
+    fit, bends = _climbed(fit, candidates)
+    last = fit.on(segments_of(record, _LAST, spans)).solved()
+    whiter = np.isfinite(last.cost) and last.colour < WHITE <= fit.colour
+    if not whiter and not last.variance <= _AS_GOOD**2 * fit.variance:
+        last = fit
+    return _numbers(last, bends, _progress(fit))
 
 
 def _climbed(fit: PositionFit, candidates: tuple[Term, ...]) -> tuple[PositionFit, bool]:

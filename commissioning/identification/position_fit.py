@@ -25,6 +25,7 @@ _J, _B, _F, _OFFSET, _DELAY, _LAG = BASE
 _STEP, _SQUARE_STEP = 1e-4, 1e-3  # of their scales, by which parameters are changed
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e-13, 1e3
 _EASIER = 30.0  # by which damping is divided after a step that was good
+_ABSURD = 1e9  # swings: what diverges
 _DONE = 0.02  # of what one standard error changes the cost by: a step that brings less is the last
 WHITE, NOISY = 1.35, 2.5
 _PLAIN = 2.0, 1.1  # colour, and times the noise
@@ -86,7 +87,7 @@ class PositionFit:
     def solved(self, most: int = _MOST_STEPS) -> PositionFit:
         """At its best."""
         now, damping = self.answered(), _FIRST_DAMPING
-        for _ in range(most):
+        for _ in range(most if np.isfinite(now.cost) else 0):
             better, expected = now._step(damping)
             if better.cost < now.cost:
                 now, damping = better, max(damping / _EASIER, _LEAST_DAMPING)
@@ -160,8 +161,9 @@ class PositionFit:
     def cost(self) -> float:
         """Sum of squares, rad2 or m2; infinite where the motion or what it answers is no number."""
         assert self.answer is not None
-        answers = self.answer.by_parameter, self.answer.by_state
-        return self.answer.cost if all(np.isfinite(a).all() for a in answers) else inf
+        most = _ABSURD * self.segments.swing
+        answers = self.answer.left, self.answer.by_parameter, self.answer.by_state
+        return self.answer.cost if all((np.abs(a) < most).all() for a in answers) else inf
 
     # -- what is left -----------------------------------------------------------------------------
 
@@ -204,6 +206,8 @@ class PositionFit:
     @property
     def is_white(self) -> bool:
         """Whether what is left is noise."""
+        if not np.isfinite(self.cost):
+            return False
         if self.variance < _PLAIN[1] ** 2 * self.floor and self.colour < _PLAIN[0]:
             return True  # what is left is no more than the position's own noise
         if not self.colour < WHITE:

@@ -44,6 +44,7 @@ _SEARCH, _LAST = 1, 4  # periods of a segment while laws are compared, and of th
 _FEW_STEPS = 4  # of a law that is tried
 _AS_GOOD = 1.15  # times the standard deviation: longer segments that explain as much
 _MOST_TERMS, _TRIED = 3, 2
+_HOPELESS = 2.5, 0.01  # colour and misfit that the best term leaves: another one is not all either
 _ENOUGH = 1.15, 1.3  # colour, and times the noise: below, no further term is looked for
 _FIRST_PROGRESS = 2  # segments of one period; one alone hardly tells Coulomb from viscous friction
 _LOW_SPEED = 4e-3  # of the peak speed
@@ -159,6 +160,8 @@ def _fitted(
     if not np.isfinite(fit.cost):
         raise NotShown("no rigid axis moves like this")
     fit, bends = _climbed(fit, candidates)
+    if bends or (fit.colour > _HOPELESS[0] and fit.misfit > _HOPELESS[1]):
+        return _numbers(fit, bends, _progress(fit))
     last = fit.on(segments_of(record, _LAST, spans)).solved()
     whiter = np.isfinite(last.cost) and last.colour < WHITE <= fit.colour
     if not whiter and not last.variance <= _AS_GOOD**2 * fit.variance:
@@ -180,12 +183,12 @@ def _climbed(fit: PositionFit, candidates: tuple[Term, ...]) -> tuple[PositionFi
             return fit, True
         tried = [fit.with_terms(_TERMS[term]).solved(_FEW_STEPS) for _, term in gains[:_TRIED]]
         richer = min(tried, key=lambda one: one.variance, default=fit)
-        if not richer.variance < fit.variance:
+        more = len(richer.which) - len(fit.which)
+        if not fit.is_worth(fit.cost - richer.cost, more):
             break
-        richer = richer.solved()
-        if not fit.is_worth(fit.cost - richer.cost, len(richer.which) - len(fit.which)):
+        fit = richer.solved()
+        if fit.colour > _HOPELESS[0] and fit.misfit > _HOPELESS[1]:
             break
-        fit = richer
     return fit, fit.is_worth(_bends(fit), 2)
 
 

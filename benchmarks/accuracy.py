@@ -37,6 +37,7 @@ from commissioning.desk import Desk, Options  # noqa: E402
 from commissioning.identification.modulating import estimate  # noqa: E402
 from commissioning.identification.output_error import output_error  # noqa: E402
 from commissioning.identification.record import Record, reversals  # noqa: E402
+from commissioning.identification.segments import segments_of  # noqa: E402
 from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
 from commissioning.result.document import RunResult  # noqa: E402
@@ -174,7 +175,10 @@ def _compare(
     reading = result.methods.modulating if result.methods else None
     if reading is not None:
         outcome.left = (reading.held_out or 0.0, reading.noise or 0.0)
-    truth = truth_of(axis, record)
+    middle = float(record.time.mean())
+    if result.friction.method == "output-error":
+        middle = segments_of(record, None, spans).middle + float(record.time[0])
+    truth = truth_of(axis, record, middle)
     found = result.friction.coulomb
     for name, value in truth.items():
         number = result.friction.quantity(name)
@@ -210,11 +214,11 @@ def case_of(outcome: Outcome) -> Case:
     return Case(outcome.kind, outcome.number, outcome.link, 0.0, 0.0, 0.0)
 
 
-def truth_of(axis: VirtualAxis, record: Record) -> dict[str, float | None]:
+def truth_of(axis: VirtualAxis, record: Record, middle: float) -> dict[str, float | None]:
     """What is right, in units of the commanded torque; None where a number has no one meaning."""
     f = axis.coulomb + axis.load_coulomb
     if axis.drift:  # the mean over the samples used
-        f *= 1 + axis.drift * float(record.time.mean())
+        f *= 1 + axis.drift * middle
     if axis.position_slope or axis.position_wave:
         x = record.position
         wave = axis.position_wave * np.sin(2 * np.pi * x / axis.position_pitch)

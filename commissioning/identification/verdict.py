@@ -23,6 +23,7 @@ __all__ = [
     "agreement",
     "as_wide_as_its_harmonics",
     "balance_is_better",
+    "of_bend",
     "of_lock_in",
     "of_modulating",
     "of_output_error",
@@ -277,6 +278,17 @@ def of_output_error(found: OutputErrorEstimate, wanted: float, units: UnitNames)
             "coarse for more; more travel, or --repeat, helps",
         )
     return [*reasons, *_of_interval(f, e), *_of_terms(found, units)]
+
+
+def of_bend(units: UnitNames) -> Reason:
+    """Of positions that a Stribeck curve would explain, where the torques need none."""
+    return Reason(
+        "law.bends",
+        Weight.DOUBT,
+        "the positions show friction that falls with the speed, of which the torques do not tell "
+        f"enough to give it in {units.effort}: at higher speeds it may be less; more --travel "
+        "shows it",
+    )
 
 
 def _of_terms(found: OutputErrorEstimate, units: UnitNames) -> list[Reason]:

@@ -33,6 +33,7 @@ from commissioning.identification.verdict import (
     agreement,
     as_wide_as_its_harmonics,
     balance_is_better,
+    of_bend,
     of_lock_in,
     of_modulating,
     of_preference,
@@ -137,11 +138,12 @@ def _by_law_or_balance(ready: Ready, begun: float | None) -> Measured:
     short = _short(ready, begun)
     ready, first = short.ready, short.modulating
     assert first is not None
-    if positions(short) or within_short(first):
+    seen = positions(short)
+    bends = seen is not None and seen.bends
+    if short.output_error is not None or (within_short(first) and not bends):
         return short
-    ready.context.detail(
-        f"a dozen periods are not enough: {_why(first)}; the oscillations are held"
-    )
+    why = "friction that falls with the speed" if within_short(first) else _why(first)
+    ready.context.detail(f"a dozen periods are not enough: {why}; the oscillations are held")
     more = oscillate(
         ready, _RELAY_PERIODS_MORE,
         (Stretch(1, _HELD_PERIODS, _HELD_PERIODS), Stretch(2, _HELD_PERIODS, _HELD_PERIODS)),
@@ -154,11 +156,11 @@ def _by_law_or_balance(ready: Ready, begun: float | None) -> Measured:
     measured.relay, measured.shown = short.relay, (short.shown[0], measured.shown[1])
     measured.by[MethodName.MODULATING] = fast
     measured.reasons = of_modulating(fast, ready.units)
+    if bends and not {"stribeck", "soft"} & set(fast.law.rungs):
+        measured.reasons.append(of_bend(ready.units))
     measured.reasons.insert(
         0,
-        Reason(
-            "periods.more", Weight.NOTE, f"{measured.periods} periods, because of {_why(first)}"
-        ),
+        Reason("periods.more", Weight.NOTE, f"{measured.periods} periods, because of {why}"),
     )
     measured.corrected, measured.second = short.corrected, short.second
     try:

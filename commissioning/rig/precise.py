@@ -51,19 +51,18 @@ def precise(ready: Ready) -> Measured:
     return measured
 
 
-def positions(measured: Measured) -> bool:
-    """Read the positions of another method's record, too; whether that gives the number."""
+def positions(measured: Measured) -> OutputErrorEstimate | None:
+    """What the positions of another method's record say; its numbers, where that explains them."""
     try:
         fitted = _fitted(measured.ready, measured)
     except NotShown:
-        return False
-    if not fitted.is_explained:
-        return False
-    ready = measured.ready
-    measured.by[MethodName.OUTPUT_ERROR] = fitted
-    measured.reasons = of_output_error(fitted, ready.options.precision, ready.units)
-    read_by_law(measured)
-    return True
+        return None
+    if fitted.is_explained:
+        ready = measured.ready
+        measured.by[MethodName.OUTPUT_ERROR] = fitted
+        measured.reasons = of_output_error(fitted, ready.options.precision, ready.units)
+        read_by_law(measured)
+    return fitted
 
 
 def _measured(ready: Ready) -> Measured:

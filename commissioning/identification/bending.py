@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from commissioning.identification.position_fit import NUMBER, PositionFit
 
-__all__ = ["stribeck_columns"]
+__all__ = ["SPEEDS", "stribeck_columns"]
 
 Array = NDArray[np.float64]
 
 _A_PERIOD = 240  # points of integration
-_SPEEDS = np.geomspace(0.003, 0.6, 9)  # of the peak speed, at which the curve has fallen by 1/e
+SPEEDS = np.geomspace(0.003, 0.6, 9)  # of the peak speed, at which the curve has fallen by 1/e
 _STEEPEST = 20.0  # ratio of accelerations about a reversal
 
 
@@ -34,25 +34,37 @@ def stribeck_columns(fit: PositionFit) -> Array:
     x = segments.positions_at(p, fit.states, time)
     h = (end - begin)[:, 0] / (count - 1)
     v = np.gradient(x, axis=1) / h[:, None]
-    speed = np.abs(v)[:, :, None] / (_SPEEDS * segments.speed)
-    push = -np.sign(v)[:, :, None] * np.exp(-speed) / p[NUMBER["inertia"]]
+    push = _pushes(v, SPEEDS * segments.speed) / p[NUMBER["inertia"]]
     moved = _moved(push, v, h, p[NUMBER["viscous"]] / p[NUMBER["inertia"]])
-    columns = np.zeros((*segments.time.shape, len(_SPEEDS)))
+    columns = np.zeros((*segments.time.shape, len(SPEEDS)))
     for k in range(len(time)):
-        for n in range(len(_SPEEDS)):
+        for n in range(len(SPEEDS)):
             columns[k, :, n] = np.interp(segments.time[k], time[k], moved[k, :, n])
     return fit.projected(np.where(segments.is_there[:, :, None], columns, 0.0))
 
 
+def _pushes(v: Array, falls: Array) -> Array:
+    """Mean of −sign(v)·e^(−|v|/fall) over each step of speeds (s, m), (s, m−1, k)."""
+    before, after = v[:, :-1, None], v[:, 1:, None]
+    # its integral over the speed, which is even and grows from 0
+    whole = [falls * (1 - np.exp(-np.abs(one) / falls)) for one in (before, after)]
+    change = after - before
+    steady = np.abs(change) < 1e-3 * falls
+    level = np.sign(before) * np.exp(-np.abs(before) / falls)
+    mean = (whole[1] - whole[0]) / np.where(steady, 1.0, change)
+    result: Array = -np.where(steady, level, mean)
+    return result
+
+
 def _moved(push: Array, v: Array, h: Array, rate: float) -> Array:
-    """Positions that accelerations `push` (s, m, k) add to a motion with the speeds `v` (s, m)."""
+    """Positions that accelerations (s, m−1, k) add to a motion with the speeds `v` (s, m)."""
     faded = np.exp(-rate * h)[:, None]
     jumps = _jumps(v)
     speed = np.zeros((push.shape[0], push.shape[2]))
-    moved = np.zeros_like(push)
-    for i in range(1, push.shape[1]):
+    moved = np.zeros((*v.shape, push.shape[2]))
+    for i in range(1, v.shape[1]):
         before = speed
-        speed = faded * speed + 0.5 * h[:, None] * (push[:, i - 1] + push[:, i])
+        speed = faded * speed + h[:, None] * push[:, i - 1]
         speed = speed * jumps[:, i, None]
         moved[:, i] = moved[:, i - 1] + 0.5 * h[:, None] * (before + speed)
     return moved

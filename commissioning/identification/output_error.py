@@ -44,6 +44,8 @@ _SEARCH, _LAST = 1, 4  # periods of a segment while laws are compared, and of th
 _FEW_STEPS = 4  # of a law that is tried
 _AS_GOOD = 1.15  # times the standard deviation: longer segments that explain as much
 _MOST_TERMS, _TRIED = 3, 2
+# terms that a curve which falls with the speed can look like
+_IMITATED = {NUMBER["drag"], NUMBER["load"]}
 _HOPELESS = 2.5, 0.01  # colour and misfit that the best term leaves: another one is not all either
 _ENOUGH = 1.15, 1.3  # colour, and times the noise: below, no further term is looked for
 _FIRST_PROGRESS = 2  # segments of one period; one alone hardly tells Coulomb from viscous friction
@@ -82,6 +84,7 @@ class OutputErrorEstimate:
     is_explained : whether what is left is noise, and the law one that friction can have
     bends : whether friction that falls with the speed would explain as much
     periods, seconds, samples : that were used
+    middle : of the samples that were used, on the record's clock, s: where a drift is none
     progress : what fewer periods would have given
     """
 
@@ -104,6 +107,7 @@ class OutputErrorEstimate:
     periods: float
     seconds: float
     samples: int
+    middle: float
     progress: tuple[Progress, ...] = ()
 
     @property
@@ -186,7 +190,10 @@ def _climbed(fit: PositionFit, candidates: tuple[Term, ...]) -> tuple[PositionFi
         more = len(richer.which) - len(fit.which)
         if not fit.is_worth(fit.cost - richer.cost, more):
             break
-        fit = richer.solved()
+        richer = richer.solved()
+        if _IMITATED & set(richer.which[-more:]) and richer.is_no_worse(fit.cost - bent):
+            return richer, True
+        fit = richer
         if fit.colour > _HOPELESS[0] and fit.misfit > _HOPELESS[1]:
             break
     return fit, fit.is_worth(_bends(fit), 2)
@@ -218,13 +225,18 @@ def _progress(fit: PositionFit) -> tuple[Progress, ...]:
     normal = np.cumsum(np.einsum("snp,snq->spq", columns, columns), axis=0)
     gradient = np.cumsum(np.einsum("snp,sn->sp", columns, fit.answer.left), axis=0)
     at, scale, found = fit.which.index(_F), fit.scale[_F], []
+    there = fit.segments.is_there
+    last = np.take_along_axis(fit.segments.time, there.sum(axis=1)[:, None] - 1, axis=1)[:, 0]
+    periods = np.cumsum(last - fit.segments.time[:, 0]) / fit.segments.period
     times = _STAT_WHITE if fit.is_white else _STAT_COLOURED
     for count in range(_FIRST_PROGRESS, len(columns) + 1):
         inverse = np.linalg.pinv(normal[count - 1], rcond=1e-15, hermitian=True)
         value = float(fit.parameters[_F] + (inverse @ gradient[count - 1])[at] * scale)
         error = sqrt(fit.colour * fit.variance * max(inverse[at, at], 0.0)) * scale
         half = float(_WIDER * (2 * times * error + _SYSTEMATIC * abs(value)))
-        found.append(Progress(float(count), Estimate(value, value - half, value + half)))
+        found.append(
+            Progress(float(periods[count - 1]), Estimate(value, value - half, value + half))
+        )
     return tuple(found)
 
 
@@ -308,5 +320,6 @@ def _numbers(fit: PositionFit, bends: bool, progress: tuple[Progress, ...]) -> O
         periods=float(sum(t[-1] - t[0] for t in spans)) / segments.period,
         seconds=segments.span,
         samples=segments.samples,
+        middle=segments.origin + segments.middle,
         progress=progress,
     )

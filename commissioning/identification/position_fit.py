@@ -25,6 +25,7 @@ _J, _B, _F, _OFFSET, _DELAY, _LAG = BASE
 _STEP, _SQUARE_STEP = 1e-4, 1e-3  # of their scales, by which parameters are changed
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e-13, 1e3
 _EASIER = 30.0  # by which damping is divided after a step that was good
+_LONGEST_LAG = 2.0  # of the whole delay: a torque that only lags is no edge of what may be
 _ABSURD = 1e9  # swings: what diverges
 _DONE = 0.02  # of what one standard error changes the cost by: a step that brings less is the last
 WHITE, NOISY = 1.35, 2.5
@@ -243,6 +244,11 @@ class PositionFit:
             return gain >= cost > 0
         return n / self.colour * log(cost / (cost - gain)) - numbers * log(n) > _DEARER
 
+    def is_no_worse(self, cost: float) -> bool:
+        """Whether another law of that cost, rad2 or m2, explains about as much as this one."""
+        n = self.segments.samples
+        return n / self.colour * log(max(cost, 1e-300) / max(self.cost, 1e-300)) < _DEARER
+
     def covariance(self) -> Array:
         """Of the scaled free parameters, (p, p), scatter of half periods and colour included."""
         assert self.answer is not None
@@ -288,7 +294,7 @@ def _allowed(parameters: Array, before: Array) -> Array:
     found = parameters.copy()
     found[_J] = np.clip(found[_J], 0.3 * before[_J], 3 * before[_J])
     found[_DELAY] = max(found[_DELAY], 0.0)
-    found[_LAG] = np.clip(found[_LAG], 0.0, found[_DELAY] ** 2)
+    found[_LAG] = np.clip(found[_LAG], 0.0, (_LONGEST_LAG * found[_DELAY]) ** 2)
     load = NUMBER["load"]
     found[load] = np.clip(found[load], -0.5, 0.8)
     return found

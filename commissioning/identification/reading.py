@@ -54,6 +54,7 @@ class Explained:
     instants : of reversals that are known, s
     coulomb, dead_time : with their intervals
     left : share of the torque that is not explained
+    middle : where a drift is none, s; None: in the middle of any record
     """
 
     law: Law
@@ -63,6 +64,7 @@ class Explained:
     coulomb: Estimate
     dead_time: Estimate
     left: float
+    middle: float | None = None
 
     @classmethod
     def of(cls, found: ModulatingEstimate | OutputErrorEstimate | None) -> Self | None:
@@ -86,7 +88,19 @@ class Explained:
         model = Model(
             found.inertia.value, found.viscous.value, found.offset.value, found.dead_time.value
         )
-        return cls(law, np.array(sizes), model, np.array([]), found.coulomb, found.dead_time, 0.0)
+        return cls(
+            law, np.array(sizes), model, np.array([]), found.coulomb, found.dead_time, 0.0,
+            found.middle,
+        )  # fmt: skip
+
+    def during(self, record: Record) -> NDArray[np.float64]:
+        """Coefficients at the time of a record: friction that drifts is another one there."""
+        if not self.law.drift or self.middle is None:
+            return self.coefficients
+        found = self.coefficients.copy()
+        later = 0.5 * float(record.time[0] + record.time[-1]) - self.middle
+        found[0] += found[self.law.place("drift")] * later
+        return found
 
 
 def _in_their_order(law: Law) -> list[Any]:
@@ -105,7 +119,7 @@ class Reader:
             raise NotShown(f"the oscillation has {len(instants)} velocity reversals")
         self._found = found
         self._model = found.model
-        self._friction = friction_in(found.law, found.coefficients)
+        self._friction = friction_in(found.law, found.during(record))
         self._step = float(np.median(np.diff(record.time)))
         fitted = found.instants  # of the record that the law was found in they are known better
         if len(fitted) == len(instants) and np.all(np.abs(fitted - instants) < 2 * self._step):

@@ -67,6 +67,7 @@ class Segments:
     resolution : rad or m
     swing, speed : typical half-swing and peak speed, rad or m, a second
     middle, centre : where drift and spring are none, s, rad or m
+    origin : of all instants here, on the record's clock, s
     """
 
     torque: Torque
@@ -81,6 +82,7 @@ class Segments:
     speed: float
     middle: float
     centre: float
+    origin: float
 
     @property
     def samples(self) -> int:
@@ -218,6 +220,7 @@ def segments_of(
         float(np.quantile(np.abs(np.diff(y) / np.diff(time)), 0.99)),
         float(time[used].mean()) - origin,
         float(y[used].mean()),
+        origin,
     )
 
 

@@ -218,6 +218,8 @@ def _integrated(lanes: Lanes, torque: Torque, end: Array, longest: float) -> _St
             away = s.away()
             s.sign = np.where(turned, np.where(away == s.sign, 0.0, away), s.sign)
         s.sign = np.where(stuck, off, s.sign)
+    else:  # a lane that chatters has no motion
+        steps.decaying[-1] = np.where(end - s.time > 0, np.nan, steps.decaying[-1])
     return steps
 
 

@@ -27,6 +27,7 @@ __all__ = [
     "of_lock_in",
     "of_modulating",
     "of_output_error",
+    "of_precision",
     "of_preference",
     "within_short",
 ]
@@ -269,15 +270,24 @@ def of_output_error(found: OutputErrorEstimate, wanted: float, units: UnitNames)
             "the positions: the axis is elastic, or its friction is of another kind (--method auto "
             "looks for it)",
         )
-    if found.is_explained and _WIDE >= f.half_width > wanted:
-        add(
+    if found.is_explained:
+        reasons += of_precision(f, round(found.periods), wanted)
+    return [*reasons, *_of_interval(f, e), *_of_terms(found, units)]
+
+
+def of_precision(f: Estimate, periods: int, wanted: float) -> list[Reason]:
+    """That an interval is wider than was asked for, and no doubt for that."""
+    if not _WIDE >= f.half_width > wanted:
+        return []
+    return [
+        Reason(
             "interval.asked",
             Weight.NOTE,
-            f"the friction is known to ±{100 * f.half_width:.2g} % after {found.periods:.0f} "
-            f"periods, ±{100 * wanted:.2g} % were asked for: position or time stamps are too "
-            "coarse for more; more travel, or --repeat, helps",
+            f"the friction is known to ±{100 * f.half_width:.2g} % after {periods} periods, "
+            f"±{100 * wanted:.2g} % were asked for: more are not run, and less than ±0.03 % is not "
+            "told; more --travel helps",
         )
-    return [*reasons, *_of_interval(f, e), *_of_terms(found, units)]
+    ]
 
 
 def of_bend(units: UnitNames) -> Reason:
@@ -306,8 +316,8 @@ def _of_terms(found: OutputErrorEstimate, units: UnitNames) -> list[Reason]:
             Reason(
                 "law.spring",
                 Weight.NOTE,
-                f"a spring of {size('spring'):.3g} {e}/{p} acts on the axis: the offset is that of "
-                "the middle of the motion",
+                f"a torque goes with the position as that of a spring of {size('spring'):.3g} "
+                f"{e}/{p}: the offset is that of the middle of the motion",
             )
         )
     if "eccentricity" in found.terms:

@@ -117,6 +117,11 @@ def decode(tree: Any, origin: str) -> tuple[RunResult, Curves]:
             if (number := tree["friction"].get(name)) and number["value"] is None:
                 tree["friction"][name] = None
         tree["methods"] = {n.replace("-", "_"): reading for n, reading in tree["methods"].items()}
+        watched = tree.get("experiment")
+        span = watched.get("analysed") if isinstance(watched, dict) else None
+        if span is None or (span and not isinstance(span[0], list)):  # one stretch, before 2026-11
+            spans = [] if span is None else [span]
+            tree["experiment"] = watched and {**watched, "analysed": spans}
         return _adapter().validate_json(json.dumps(tree)), curves
     except ValidationError as error:
         raise UsageError(f"{origin}: is damaged: {first_error(error)}") from None

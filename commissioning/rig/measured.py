@@ -105,7 +105,9 @@ class Measured:
         """The method that gives the numbers."""
         if self.preferred is not None:
             return self.preferred
-        return next(name for name in MethodName if name in self.by)
+        finest_first = [name for name in MethodName if name in self.by]
+        of_another_law = [MethodName.OUTPUT_ERROR] if self.positions is None else []
+        return next((n for n in finest_first if n not in of_another_law), finest_first[0])
 
     @property
     def found(self) -> Estimates:
@@ -123,9 +125,15 @@ class Measured:
         return cast("OutputErrorEstimate | None", self.by.get(MethodName.OUTPUT_ERROR))
 
     @property
+    def positions(self) -> OutputErrorEstimate | None:
+        """What output error has found, where that explains the positions."""
+        found = self.output_error
+        return found if found is not None and found.is_explained else None
+
+    @property
     def lag(self) -> Lag:
         """What of the dead time is a lag of the torque, as far as that is known."""
-        found = self.output_error
+        found = self.positions
         return Lag() if found is None else Lag(found.lag.value, found.period)
 
     @property

@@ -36,6 +36,7 @@ from commissioning.identification.verdict import (
     of_bend,
     of_lock_in,
     of_modulating,
+    of_precision,
     of_preference,
     within_short,
 )
@@ -126,6 +127,9 @@ def _auto(ready: Ready) -> Measured:
         ready = first.ready
         ready.context.detail(f"{unexplained(first)}; a dozen periods")
     measured = _by_law_or_balance(ready, None)
+    if measured.positions is None:
+        wanted, found = ready.options.precision, measured.found.coulomb
+        measured.reasons += of_precision(found, measured.periods, wanted)
     measured.periods += first.periods if first is not None else 0
     return measured
 

@@ -76,14 +76,11 @@ def read_by_law(measured: Measured) -> None:
     if found is None:
         return
     first, second = measured.shown
-    model = measured.output_error
+    model = measured.positions
     if model is not None and "spring" not in model.terms:  # it is known at this very frequency
         measured.corrected, measured.second = (
-            replace(
-                from_model(
-                    model.inertia, model.viscous, model.dead_time, one.cycle.period, measured.lag
-                ),
-                measured=True,
+            from_model(
+                model.inertia, model.viscous, model.dead_time, one.cycle.period, measured.lag
             )
             for one in (first, second)
         )

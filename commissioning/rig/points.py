@@ -74,7 +74,8 @@ def points(measured: Measured, *, move: bool) -> None:
         wished = computed(model, phase, lag)
         if wished.point is not None and move:
             wished = _measured(wished.point, phase, measured, model)
-            wished = replace(wished, point=_at_its_phase(wished.point, model, lag))
+            if wished.point is not None and wished.point.measured:
+                wished = replace(wished, point=_at_its_phase(wished.point, model, lag))
         elif wished.point is not None:
             _, travel, why_not = _wanted(wished.point, measured)
             wished = Wished(wished.point, travel, why_not or "not asked for")
@@ -93,11 +94,10 @@ def points(measured: Measured, *, move: bool) -> None:
 def _at_its_phase(
     point: CriticalPoint | None, model: dict[str, Estimate | None], lag: Lag
 ) -> CriticalPoint | None:
-    """A point that was measured, where it gives Ku with what its phase makes of that."""
+    """A point at an oscillation's frequency, where it gives Ku with what its phase makes of it."""
     axis = [model[name] for name in ("inertia", "viscous", "dead_time")]
     known = [estimate.value for estimate in axis if estimate is not None]
-    is_computed = point is not None and not point.measured
-    if point is None or is_computed or point.ku is None or len(known) < len(axis):
+    if point is None or point.ku is None or len(known) < len(axis):
         return point
     inertia, viscous, dead_time = known
     return at_its_phase(point, inertia, viscous, dead_time, lag)

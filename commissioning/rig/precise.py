@@ -88,12 +88,16 @@ def _measured(ready: Ready) -> Measured:
         try:
             fitted = _fitted(ready, now)
         except NotShown:
-            return now
+            if before is None:
+                return now
+            break
         if fitted.is_explained and before is None and designs < _MOST_DESIGNS:
             again = ready.redesigned(fitted)
             if again is not None:
                 ready, spans, used, designs = again, [], 0, designs + 1
                 continue
+        if before is not None and not fitted.is_explained:
+            break  # the axis has changed: what the first periods showed is a number of its own
         now.by[MethodName.OUTPUT_ERROR] = fitted
         now.reasons = of_output_error(fitted, ready.options.precision, ready.units)
         before = now
@@ -114,7 +118,7 @@ def _more(ready: Ready, measured: Measured, found: OutputErrorEstimate, used: in
     left = _MOST - used
     if half <= wanted or left < 2 * _FIRST:
         return None
-    asked = used * min(_GROWS * (half / wanted) ** 2, _MOST) - used
+    asked = used * min(_GROWS * min(half / wanted, _MOST) ** 2, _MOST) - used
     count = min(max(round(asked) - _FIRST, _FIRST), left - _FIRST)
     seconds = (_FIRST + count) * measured.shown[1].cycle.period
     if _STARTING + seconds > ready.time_left:

@@ -90,14 +90,14 @@ def found_of(repeats: Sequence[Measured], units: Units, raw: Raw) -> Found:
             mean = mean_of(known)
             numbers[name] = quantity(mean, units.of_quantity(name), raw(name, mean.value))
     # a law that does not explain the record says nothing of the curve
-    told = [one.output_error or one.modulating for one in repeats if one.preferred is None]
+    told = [one.positions or one.modulating for one in repeats if one.preferred is None]
     fits = [one for one in told if one is not None]
     curve = low_speed = None
     if len(fits) == len(repeats):
         curve = curve_of(fits, fits[-1].peak_speed)
         value = float(np.mean([fit.low_speed for fit in fits]))
         low_speed = Quantity(value, None, None, units.effort, *raw("coulomb", value))
-    lags = [one.output_error.lag for one in repeats if one.output_error is not None]
+    lags = [one.positions.lag for one in repeats if one.positions is not None]
     lag = quantity(mean_of(lags), units.dead_time) if len(lags) == len(repeats) else None
     return Found(repeats[-1].method, **numbers, lag=lag, low_speed=low_speed, curve=curve)
 

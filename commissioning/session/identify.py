@@ -249,7 +249,7 @@ def _reasons(measured: Measured, samples: list[Sample], cycle: float) -> list[Re
         torque_gain(torque, command),
         dwell_share(record, inertia.value if inertia else known.inertia, f),
         # what counts hide is in the interval of positions that are explained
-        inf if _is_by_positions(measured) else relay.half_swing,
+        inf if measured.positions is not None else relay.half_swing,
         record.resolution,
     )
     share = f / relay.relay_amplitude
@@ -262,8 +262,3 @@ def _reasons(measured: Measured, samples: list[Sample], cycle: float) -> list[Re
             )
         )
     return reasons
-
-
-def _is_by_positions(measured: Measured) -> bool:
-    found = measured.output_error
-    return found is not None and found.is_explained

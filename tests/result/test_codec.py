@@ -164,6 +164,16 @@ def test_what_a_later_version_adds_is_passed_over() -> None:
     assert decode(tree, "run.json")[0] == recorded("good")[0]
 
 
+def test_one_stretch_that_was_analysed_is_a_list_of_one() -> None:
+    """As it was written until November 2026."""
+    tree = json.loads(json.dumps(encode(recorded("good")[0])))
+    for before, now in (([2.5, 3.8], ((2.5, 3.8),)), (None, ())):
+        tree["experiment"]["analysed"] = before
+        read, _ = decode(tree, "run.json")
+        assert read.experiment is not None
+        assert read.experiment.analysed == now
+
+
 def test_an_older_run_that_is_saved_again_loses_no_curve(tmp_path: Path) -> None:
     for name in ("run.json", "journal.json", "samples.npz"):
         (tmp_path / name).write_bytes((RECORDED / "good" / name).read_bytes())

@@ -84,13 +84,7 @@ def of_modulating(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
     f = found.coulomb
     left = found.held_out
     if not f.value > 0 or not found.inertia.high > 0:
-        add(
-            "fit.impossible",
-            Weight.CONTRADICTION,
-            f"the fit gives a friction of {f.value:.3g} {e} and an inertia of "
-            f"{found.inertia.value:.3g}: no axis moves like this; is the torque's sign or unit "
-            "wrong?",
-        )
+        reasons.append(_impossible(f.value, found.inertia.value, e))
         return reasons
     if left > max(_REJECTED_LEFT, 3 * found.noise):
         add(
@@ -124,6 +118,15 @@ def of_modulating(found: ModulatingEstimate, units: UnitNames) -> list[Reason]:
             "shorter --cycle or a longer period helps",
         )
     return [*reasons, *_of_interval(f, e), *_of_record(found), *_of_law(found, units)]
+
+
+def _impossible(friction: float, inertia: float, effort: str) -> Reason:
+    return Reason(
+        "fit.impossible",
+        Weight.CONTRADICTION,
+        f"the fit gives a friction of {friction:.3g} {effort} and an inertia of {inertia:.3g}: no "
+        "axis moves like this; is the torque's sign or unit wrong?",
+    )
 
 
 def _of_interval(f: Estimate, effort: str) -> list[Reason]:
@@ -251,13 +254,7 @@ def of_output_error(found: OutputErrorEstimate, wanted: float, units: UnitNames)
         reasons.append(Reason(code, weight, text))
 
     if not f.high > 0 or not found.inertia.high > 0:
-        add(
-            "fit.impossible",
-            Weight.CONTRADICTION,
-            f"the fit gives a friction of {f.value:.3g} {e} and an inertia of "
-            f"{found.inertia.value:.3g}: no axis moves like this; is the torque's sign or unit "
-            "wrong?",
-        )
+        reasons.append(_impossible(f.value, found.inertia.value, e))
         return reasons
     if not found.is_explained:
         add(

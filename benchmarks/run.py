@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 from unittest.mock import patch
 
@@ -30,7 +31,7 @@ from commissioning.interruption import Interruption  # noqa: E402
 from commissioning.journal import Journal  # noqa: E402
 from commissioning.result.document import RunResult  # noqa: E402
 from commissioning.rig import methods as rig_methods  # noqa: E402
-from commissioning.rig import mover  # noqa: E402
+from commissioning.rig import mover, precise  # noqa: E402
 from commissioning.session import identify as session  # noqa: E402
 from drivers.link import axis_of  # noqa: E402
 
@@ -131,7 +132,6 @@ def speed() -> list[str]:
     assert watched is not None
     duration = watched.duration
     tworelay = str(Path(sys.executable).parent / "tworelay")
-    analysis = _analysis(link)
     click_alone, help_time = side_by_side(
         command("-c", "import click"),
         lambda: subprocess.run([tworelay, "--help"], check=True, capture_output=True),
@@ -151,7 +151,7 @@ def speed() -> list[str]:
         "| --- | --- |",
         f"| simulated seconds a second, `virtual://bench` at 1 ms, whole loop | {statistics.median(rates):.0f} (best {max(rates):.0f}) |",
         f"| the job in process: {duration:.1f} simulated seconds in | {whole * 1000:.0f} ms |",
-        f"| the analysis of its record of a dozen periods | {analysis * 1000:.0f} ms |",
+        *methods_side_by_side(link),
         f"| `tworelay identify virtual://bench --yes`, wall time | {identify_time:.2f} s |",
         f'| … over `python -c "import numpy, scipy.optimize"` | {identify_time / numbers:.1f} × |',
         f"| `tworelay --help` | {help_time * 1000:.0f} ms |",
@@ -159,21 +159,35 @@ def speed() -> list[str]:
     ]
 
 
-def _analysis(link: str) -> float:
-    """Time of the fit alone, s."""
-    original = vars(rig_methods)["estimate"]
-    spent: list[float] = []
+def methods_side_by_side(link: str) -> list[str]:
+    """Output error to the default precision beside the dozen periods of modulating functions."""
+    fits: dict[str, tuple[ModuleType, str]] = {
+        "output-error": (precise, "output_error"), "modulating": (rig_methods, "estimate"),
+    }  # fmt: skip
+    spent: dict[str, list[float]] = {name: [] for name in fits}
+    moved, whole = {}, {}
+    for _ in range(5):
+        for method, (module, name) in fits.items():
+            original = vars(module)[name]
 
-    def counted(*arguments: Any, **keywords: Any) -> Any:
-        begin = time.perf_counter()
-        found = original(*arguments, **keywords)
-        spent.append(time.perf_counter() - begin)
-        return found
+            def counted(*arguments: Any, to: str = method, fit: Any = original, **rest: Any) -> Any:
+                begin = time.perf_counter()
+                found = fit(*arguments, **rest)
+                spent[to].append(time.perf_counter() - begin)
+                return found
 
-    with patch.object(rig_methods, "estimate", counted):
-        for _ in range(5):
-            measure(link, 0.001)
-    return min(spent)
+            with patch.object(module, name, counted):
+                watched = measure(link, 0.001, None, method).experiment
+            assert watched is not None
+            whole[method] = watched.duration
+            moved[method] = sum(end - begin for begin, end in watched.analysed)
+    fit = {method: min(times) for method, times in spent.items()}
+    new, old = fits
+    return [
+        f"| analysis by output error, {1000 * fit[new]:.0f} ms, over modulating functions | {fit[new] / fit[old]:.2f} × |",
+        f"| oscillating to ±1 %: {moved[new]:.2f} s of {moved[old]:.2f} s that a dozen periods take | {moved[new] / moved[old]:.2f} × |",
+        f"| … with the first motions: {whole[new]:.2f} s of {whole[old]:.2f} s | {whole[new] / whole[old]:.2f} × |",
+    ]
 
 
 def main() -> None:

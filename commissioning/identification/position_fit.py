@@ -140,16 +140,16 @@ class PositionFit:
         if held and g[lag] < 0:
             free[lag] = False
         within = np.ix_(free, free)
-        expected = float(g[free] @ np.linalg.lstsq(h[within], g[free], rcond=1e-13)[0])
+        expected = float(g[free] @ _solution(h[within], g[free]))
         h, g, inverse = reduced(damping)
         moved = np.zeros(len(g))
-        moved[free] = np.linalg.lstsq(h[within], g[free], rcond=1e-13)[0]
+        moved[free] = _solution(h[within], g[free])
         least = -self.parameters[_LAG] / self.scale[_LAG]
         if moved[lag] < least:  # to where it is none, and the others as is best for that
             free[lag] = False
             moved[lag] = least
             rest_of = g[free] - h[free][:, [lag]] @ moved[[lag]]
-            moved[free] = np.linalg.lstsq(h[np.ix_(free, free)], rest_of, rcond=1e-13)[0]
+            moved[free] = _solution(h[np.ix_(free, free)], rest_of)
         by_states = np.einsum("sij,sj->si", inverse, rest - np.einsum("sip,p->si", both, moved))
         parameters = self.parameters.copy()
         parameters[list(self.which)] += moved * self.scale[list(self.which)]
@@ -266,6 +266,14 @@ class PositionFit:
         spread = np.sqrt(larger / np.maximum(np.diag(plain), 1e-300))
         result: Array = plain * np.outer(spread, spread)
         return result
+
+
+def _solution(matrix: Array, right: Array) -> Array:
+    """Of normal equations; none where they are no numbers: then a step is no step."""
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+        return np.zeros(len(right))
+    solution: Array = np.linalg.lstsq(matrix, right, rcond=1e-13)[0]
+    return solution
 
 
 def _scales(segments: Segments, parameters: Array) -> Array:

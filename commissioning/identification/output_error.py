@@ -82,7 +82,8 @@ class OutputErrorEstimate:
     colour : κ; 1: what is left is white
     misfit : what is left beyond the noise, as a torque, of the friction
     is_explained : whether what is left is noise, and the law one that friction can have
-    bends : whether friction that falls with the speed would explain as much
+    bent_level : that friction falls to with the speed, where such a curve would explain as much,
+        N.m or N; None: it would not
     periods, seconds, samples : that were used
     middle : of the samples that were used, on the record's clock, s: where a drift is none
     progress : what fewer periods would have given
@@ -103,12 +104,17 @@ class OutputErrorEstimate:
     colour: float
     misfit: float
     is_explained: bool
-    bends: bool
+    bent_level: float | None
     periods: float
     seconds: float
     samples: int
     middle: float
     progress: tuple[Progress, ...] = ()
+
+    @property
+    def bends(self) -> bool:
+        """Whether friction that falls with the speed would explain as much."""
+        return self.bent_level is not None
 
     @property
     def low_speed(self) -> float:
@@ -163,28 +169,28 @@ def _fitted(
     fit = PositionFit.begun(segments_of(record, _SEARCH, spans), start, coulomb, noise).solved()
     if not np.isfinite(fit.cost):
         raise NotShown("no rigid axis moves like this")
-    fit, bends = _climbed(fit, candidates)
-    if bends or (fit.colour > _HOPELESS[0] and fit.misfit > _HOPELESS[1]):
-        return _numbers(fit, bends, _progress(fit))
+    fit, level = _climbed(fit, candidates)
+    if level is not None or (fit.colour > _HOPELESS[0] and fit.misfit > _HOPELESS[1]):
+        return _numbers(fit, level, _progress(fit))
     last = fit.on(segments_of(record, _LAST, spans)).solved()
     whiter = np.isfinite(last.cost) and last.colour < WHITE <= fit.colour
     if not whiter and not last.variance <= _AS_GOOD**2 * fit.variance:
         last = fit
-    return _numbers(last, bends, _progress(fit))
+    return _numbers(last, level, _progress(fit))
 
 
-def _climbed(fit: PositionFit, candidates: tuple[Term, ...]) -> tuple[PositionFit, bool]:
+def _climbed(fit: PositionFit, candidates: tuple[Term, ...]) -> tuple[PositionFit, float | None]:
     """With one more term where it explains clearly more, until what is left is noise.
 
-    Also whether a Stribeck curve would have explained as much, so that the law is another.
+    Also the level of a Stribeck curve that would have explained as much: the law is another then.
     """
     for _ in range(_MOST_TERMS):
         if fit.colour < _ENOUGH[0] and fit.variance < _ENOUGH[1] ** 2 * fit.floor:
             break
         gains = sorted(_gains(fit, candidates), reverse=True)
-        bent = _bends(fit)
+        bent, level = _bends(fit)
         if gains and bent > gains[0][0] and fit.is_worth(bent, 2):
-            return fit, True
+            return fit, level
         tried = [fit.with_terms(_TERMS[term]).solved(_FEW_STEPS) for _, term in gains[:_TRIED]]
         richer = min(tried, key=lambda one: one.variance, default=fit)
         more = len(richer.which) - len(fit.which)
@@ -192,11 +198,12 @@ def _climbed(fit: PositionFit, candidates: tuple[Term, ...]) -> tuple[PositionFi
             break
         richer = richer.solved()
         if _IMITATED & set(richer.which[-more:]) and richer.is_no_worse(fit.cost - bent):
-            return richer, True
+            return richer, level
         fit = richer
         if fit.colour > _HOPELESS[0] and fit.misfit > _HOPELESS[1]:
             break
-    return fit, fit.is_worth(_bends(fit), 2)
+    bent, level = _bends(fit)
+    return fit, level if fit.is_worth(bent, 2) else None
 
 
 def _gains(fit: PositionFit, candidates: tuple[Term, ...]) -> list[tuple[float, Term]]:
@@ -212,10 +219,12 @@ def _gains(fit: PositionFit, candidates: tuple[Term, ...]) -> list[tuple[float, 
     return found
 
 
-def _bends(fit: PositionFit) -> float:
-    """By how much a Stribeck curve should lower the cost."""
+def _bends(fit: PositionFit) -> tuple[float, float]:
+    """By how much a Stribeck curve should lower the cost, and the level that it goes down to."""
     columns = stribeck_columns(fit)
-    return max(fit.gain(columns[..., n : n + 1]) for n in range(columns.shape[2]))
+    gains = [fit.gain(columns[..., n : n + 1]) for n in range(columns.shape[2])]
+    best = int(np.argmax(gains))
+    return gains[best], fit.level_with(columns[..., best])
 
 
 def _progress(fit: PositionFit) -> tuple[Progress, ...]:
@@ -290,7 +299,9 @@ class _Told:
         return self._around(_DELAY, float(fit.parameters[_DELAY]) - lag + atan(w * lag) / w, error)
 
 
-def _numbers(fit: PositionFit, bends: bool, progress: tuple[Progress, ...]) -> OutputErrorEstimate:
+def _numbers(
+    fit: PositionFit, level: float | None, progress: tuple[Progress, ...]
+) -> OutputErrorEstimate:
     """The fit as numbers."""
     told, segments = _Told(fit), fit.segments
     coulomb, viscous, inertia = (told.number(n) for n in (_F, _B, _J))
@@ -315,8 +326,8 @@ def _numbers(fit: PositionFit, bends: bool, progress: tuple[Progress, ...]) -> O
         noise=sqrt(fit.floor),
         colour=fit.colour,
         misfit=fit.misfit,
-        is_explained=fit.is_white and not bends and all(one.high > 0 for one in positive),
-        bends=bends,
+        is_explained=fit.is_white and level is None and all(one.high > 0 for one in positive),
+        bent_level=level,
         periods=float(sum(t[-1] - t[0] for t in spans)) / segments.period,
         seconds=segments.span,
         samples=segments.samples,

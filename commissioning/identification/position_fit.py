@@ -237,6 +237,17 @@ class PositionFit:
         own, _ = np.linalg.qr(new - q @ (q.T @ new))
         return float(((own.T @ left) ** 2).sum())
 
+    def level_with(self, column: Array) -> float:
+        """Coulomb friction, N.m or N, if a further projected column (s, n) were in the law, too."""
+        assert self.answer is not None
+        known = self.projected(self.answer.by_parameter)
+        both = np.concatenate((known, column[..., None]), axis=2)
+        flat = both.reshape(-1, both.shape[2])
+        left = self.projected(self.answer.left[..., None]).reshape(-1)
+        moved = _solution(flat.T @ flat, flat.T @ left)
+        at = self.which.index(_F)
+        return float(self.parameters[_F] + moved[at] * self.scale[_F])
+
     def is_worth(self, gain: float, numbers: int) -> bool:
         """Whether so much less cost is worth so many numbers more (Schwarz 1978, and a margin)."""
         n, cost = self.segments.samples, self.cost
@@ -272,8 +283,7 @@ def _solution(matrix: Array, right: Array) -> Array:
     """Of normal equations; none where they are no numbers: then a step is no step."""
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
         return np.zeros(len(right))
-    solution: Array = np.linalg.lstsq(matrix, right, rcond=1e-13)[0]
-    return solution
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-13)[0], np.float64)
 
 
 def _scales(segments: Segments, parameters: Array) -> Array:

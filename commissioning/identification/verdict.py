@@ -23,6 +23,7 @@ __all__ = [
     "agreement",
     "as_wide_as_its_harmonics",
     "balance_is_better",
+    "holding",
     "of_bend",
     "of_lock_in",
     "of_modulating",
@@ -47,6 +48,7 @@ _AGREE = 0.03  # of f
 # of f, by which the balance's harmonics may differ: where it is preferred, and where nothing else
 # is there; and what of that its interval holds
 _HARMONICS, _OF_HARMONICS = (0.05, 0.15), 0.4
+_BEND = 2.0  # of what positions and torques differ by in friction
 _BEHIND = 0.03  # of f
 
 
@@ -285,6 +287,12 @@ def of_precision(f: Estimate, periods: int, wanted: float) -> list[Reason]:
             "told; more --travel helps",
         )
     ]
+
+
+def holding(f: Estimate, level: float) -> Estimate:
+    """The number with an interval that holds the level of a curve, and as much again in doubt."""
+    reach = _BEND * abs(f.value - level)
+    return Estimate(f.value, min(f.low, f.value - reach), max(f.high, f.value + reach))
 
 
 def of_bend(units: UnitNames) -> Reason:

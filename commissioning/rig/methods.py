@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -33,6 +33,7 @@ from commissioning.identification.verdict import (
     agreement,
     as_wide_as_its_harmonics,
     balance_is_better,
+    holding,
     of_bend,
     of_lock_in,
     of_modulating,
@@ -126,7 +127,8 @@ def _auto(ready: Ready) -> Measured:
     if first is not None:
         ready = first.ready
         ready.context.detail(f"{unexplained(first)}; a dozen periods")
-    measured = _by_law_or_balance(ready, None)
+    brief = None if first is None else first.output_error
+    measured = _by_law_or_balance(ready, None if brief is None else brief.bent_level)
     if measured.positions is None:
         wanted, found = ready.options.precision, measured.found.coulomb
         measured.reasons += of_precision(found, measured.periods, wanted)
@@ -134,17 +136,18 @@ def _auto(ready: Ready) -> Measured:
     return measured
 
 
-def _by_law_or_balance(ready: Ready, begun: float | None) -> Measured:
+def _by_law_or_balance(ready: Ready, bent: float | None) -> Measured:
     """A dozen periods where they are enough, else thirty and the exact balance.
 
-    `begun` : hysteresis of a relay that has run before, rad or m
+    `bent` : level that friction falls to with the speed, by positions that said so before, N.m or N
     """
-    short = _short(ready, begun)
+    short = _short(ready)
     ready, first = short.ready, short.modulating
     assert first is not None
     seen = positions(short)
-    bends = seen is not None and seen.bends
-    if short.output_error is not None or (within_short(first) and not bends):
+    if seen is not None and seen.bent_level is not None:
+        bent = seen.bent_level
+    if short.output_error is not None or (within_short(first) and bent is None):
         return short
     why = "friction that falls with the speed" if within_short(first) else _why(first)
     ready.context.detail(f"a dozen periods are not enough: {why}; the oscillations are held")
@@ -155,12 +158,16 @@ def _by_law_or_balance(ready: Ready, begun: float | None) -> Measured:
     )  # fmt: skip
     record = ready.record(more.begin, more.end)
     fast = estimate(record)
+    if {"stribeck", "soft"} & set(fast.law.rungs):
+        bent = None  # the law says it
+    if bent is not None:
+        fast = replace(fast, coulomb=holding(fast.coulomb, bent))
     measured = shown(ready, more, record, periods=short.periods + more.periods)
     # the first record's relay had more periods to come to its limit cycle
     measured.relay, measured.shown = short.relay, (short.shown[0], measured.shown[1])
     measured.by[MethodName.MODULATING] = fast
     measured.reasons = of_modulating(fast, ready.units)
-    if bends and not {"stribeck", "soft"} & set(fast.law.rungs):
+    if bent is not None:
         measured.reasons.append(of_bend(ready.units))
     measured.reasons.insert(
         0,
@@ -215,19 +222,19 @@ def _why(found: ModulatingEstimate) -> str:
     return f"{100 * found.rigid_residual:.1f} % of the torque unexplained by a rigid axis"
 
 
-def _short(ready: Ready, begun: float | None = None) -> Measured:
+def _short(ready: Ready) -> Measured:
     """Relay at d1, oscillator at d2, nothing settled: modulating functions."""
     periods = 0
     for _ in range(_MOST_DESIGNS):
         stretch = Stretch(2, _HOLD_PERIODS, _HOLD_PERIODS)
-        found = oscillate(ready, _RELAY_PERIODS, (stretch,), knob=begun)
+        found = oscillate(ready, _RELAY_PERIODS, (stretch,))
         record = ready.record(found.begin, found.end)
         periods += found.periods
         fitted = estimate(record)
         again = ready.redesigned(fitted)
         if again is None:
             break
-        ready, begun = again, None
+        ready = again
     measured = shown(ready, found, record, periods=periods)
     measured.by[MethodName.MODULATING] = fitted
     measured.reasons = of_modulating(fitted, ready.units)

@@ -174,6 +174,19 @@ def _by_law_or_balance(ready: Ready, bent: float | None) -> Measured:
         Reason("periods.more", Weight.NOTE, f"{measured.periods} periods, because of {why}"),
     )
     measured.corrected, measured.second = short.corrected, short.second
+    return _beside_the_balance(measured, short, more)
+
+
+def _beside_the_balance(measured: Measured, short: Measured, more: Oscillations) -> Measured:
+    """With the exact balance of what was held, and its number where that is better."""
+    ready, record, fast, first = (
+        measured.ready,
+        measured.record,
+        measured.modulating,
+        short.modulating,
+    )
+    assert fast is not None
+    assert first is not None
     try:
         exact, second = _balance(record, more, ready)
     except ValueError as error:

@@ -206,6 +206,7 @@ def _motion(
     two = pair(oscillations)
     is_a_run = recording.analysed is not None
     one = not is_a_run and _is_one_oscillation(record, oscillations)
+    bent: float | None = None
     is_wanted = method == "output-error"
     may_be = is_a_run or (not one and bool(oscillations) and _is_switched(record))
     if is_wanted or (method == "auto" and may_be):
@@ -220,6 +221,7 @@ def _motion(
             )
         if positions is not None and (is_wanted or positions.is_explained):
             return _told_by_positions(result, positions, reasons, named)
+        bent = None if positions is None else positions.bent_level
     exact: LockIn | None = None
     fast: ModulatingEstimate | None = None
     if two is not None and method != "modulating":
@@ -235,6 +237,9 @@ def _motion(
     if method != "lock-in":
         tell("modulating functions")
         fast = estimate(record, any_motion=two is None and not is_a_run, ladder=not one)
+        if bent is not None and not {"stribeck", "soft"} & set(fast.law.rungs):
+            fast = replace(fast, coulomb=verdict.holding(fast.coulomb, bent))
+            reasons.append(verdict.of_bend(named))
         reasons += of_modulating(fast, named)
         if one:
             reasons.append(_of_one(oscillations[0], units))

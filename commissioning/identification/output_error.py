@@ -49,6 +49,7 @@ _IMITATED = {NUMBER["drag"], NUMBER["load"]}
 _HOPELESS = 2.5, 0.01  # colour and misfit that the best term leaves: another one is not all either
 _ENOUGH = 1.15, 1.3  # colour, and times the noise: below, no further term is looked for
 _FIRST_PROGRESS = 2  # segments of one period; one alone hardly tells Coulomb from viscous friction
+_WINDS, _A_PART = 0.5, 0.6  # of f that a spring takes at a half-swing; of the friction known before
 _LOW_SPEED = 4e-3  # of the peak speed
 _WIDER = 1.35  # what held 97 % beyond the draws that the factors are of
 _STAT_WHITE, _STAT_COLOURED, _SYSTEMATIC, _OF_MISFIT = 1.25, 3.0, 2e-4, 0.5
@@ -77,7 +78,7 @@ class OutputErrorEstimate:
     terms : what the law has beside Coulomb and viscous friction
     values : size of each: drag N.m.s2/rad2, load as a share, drift 1/s, spring N.m/rad,
         eccentricity rad
-    peak_speed, period : rad/s or m/s, s
+    half_swing, peak_speed, period : typical, rad or m, rad/s or m/s, s
     rms, noise : of what is left of the position, and of the position itself, rad or m
     colour : κ; 1: what is left is white
     misfit : what is left beyond the noise, as a torque, of the friction
@@ -97,6 +98,7 @@ class OutputErrorEstimate:
     lag: Estimate
     terms: tuple[Term, ...]
     values: tuple[Estimate, ...]
+    half_swing: float
     peak_speed: float
     period: float
     rms: float
@@ -120,6 +122,14 @@ class OutputErrorEstimate:
     def low_speed(self) -> float:
         """Friction at the lowest speed that the law resolves, N.m or N."""
         return float(self.curve(np.array([_LOW_SPEED * self.peak_speed]))[0])
+
+    def only_winds_up(self, friction: float) -> bool:
+        """Whether what moved is in front of a spring whose other end has not moved.
+
+        `friction` : of the whole axis, as first motions showed it, N.m or N
+        """
+        winds = self.size("spring") * self.half_swing
+        return winds > _WINDS * self.coulomb.value and self.coulomb.value < _A_PART * friction
 
     def size(self, term: Term) -> float:
         """Of a term; 0 where the law has it not."""
@@ -171,12 +181,11 @@ def _fitted(
         raise NotShown("no rigid axis moves like this")
     fit, level = _climbed(fit, candidates)
     if level is not None or (fit.colour > _HOPELESS[0] and fit.misfit > _HOPELESS[1]):
-        return _numbers(fit, level, _progress(fit))
+        return _numbers(fit, level, _progress(fit), wanders=True)
     last = fit.on(segments_of(record, _LAST, spans)).solved()
     whiter = np.isfinite(last.cost) and last.colour < WHITE <= fit.colour
-    if not whiter and not last.variance <= _AS_GOOD**2 * fit.variance:
-        last = fit
-    return _numbers(last, level, _progress(fit))
+    wanders = not whiter and not last.variance <= _AS_GOOD**2 * fit.variance
+    return _numbers(fit if wanders else last, level, _progress(fit), wanders=wanders)
 
 
 def _climbed(fit: PositionFit, candidates: tuple[Term, ...]) -> tuple[PositionFit, float | None]:
@@ -252,9 +261,9 @@ def _progress(fit: PositionFit) -> tuple[Progress, ...]:
 class _Told:
     """Numbers of a fit with their intervals."""
 
-    def __init__(self, fit: PositionFit) -> None:
+    def __init__(self, fit: PositionFit, wanders: bool) -> None:
         self._fit, self._covariance = fit, fit.covariance()
-        self._times = _STAT_WHITE if fit.is_white else _STAT_COLOURED
+        self._times = _STAT_WHITE if fit.is_white and not wanders else _STAT_COLOURED
         self._more = _SYSTEMATIC + (0.0 if fit.is_white else _OF_MISFIT * fit.misfit)
         f = abs(float(fit.parameters[_F]))
         # what the systematic share is a share of
@@ -300,10 +309,10 @@ class _Told:
 
 
 def _numbers(
-    fit: PositionFit, level: float | None, progress: tuple[Progress, ...]
+    fit: PositionFit, level: float | None, progress: tuple[Progress, ...], *, wanders: bool
 ) -> OutputErrorEstimate:
-    """The fit as numbers."""
-    told, segments = _Told(fit), fit.segments
+    """The fit as numbers; `wanders`: longer segments leave more, so the motion itself is noisy."""
+    told, segments = _Told(fit, wanders), fit.segments
     coulomb, viscous, inertia = (told.number(n) for n in (_F, _B, _J))
     terms = tuple(term for term, numbers in _TERMS.items() if set(numbers) <= set(fit.which))
     values = {term: told.size(term) for term in terms}
@@ -320,6 +329,7 @@ def _numbers(
         lag=told.lag(),
         terms=terms,
         values=tuple(values.values()),
+        half_swing=segments.swing,
         peak_speed=segments.speed,
         period=segments.period,
         rms=sqrt(fit.variance),

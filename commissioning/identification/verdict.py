@@ -48,6 +48,7 @@ _AGREE = 0.03  # of f
 # of f, by which the balance's harmonics may differ: where it is preferred, and where nothing else
 # is there; and what of that its interval holds
 _HARMONICS, _OF_HARMONICS = (0.05, 0.15), 0.4
+_SPRING = 0.1  # of f, at a half-swing: a spring that may be the way to a load at rest
 _BEND = 2.0  # of what positions and torques differ by in friction
 _BEHIND = 0.03  # of f
 
@@ -308,7 +309,7 @@ def of_bend(units: UnitNames) -> Reason:
 
 def _of_terms(found: OutputErrorEstimate, units: UnitNames) -> list[Reason]:
     """What the terms of the law say that explains the positions."""
-    e, p, size = units.effort, units.position, found.size
+    e, p, size, f = units.effort, units.position, found.size, found.coulomb.value
     reasons = []
     if "drag" in found.terms:
         reasons.append(_of_drag(size("drag"), found.peak_speed, units))
@@ -320,9 +321,11 @@ def _of_terms(found: OutputErrorEstimate, units: UnitNames) -> list[Reason]:
         reasons.append(
             Reason(
                 "law.spring",
-                Weight.NOTE,
+                Weight.DOUBT if size("spring") * found.half_swing > _SPRING * f else Weight.NOTE,
                 f"a torque goes with the position as that of a spring of {size('spring'):.3g} "
-                f"{e}/{p}: the offset is that of the middle of the motion",
+                f"{e}/{p}: the offset is that of the middle of the motion. It may be what the motor "
+                "winds up while the load stands still: then this is the motor's friction alone, "
+                "and more --max-torque moves the load",
             )
         )
     if "eccentricity" in found.terms:

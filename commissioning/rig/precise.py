@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from commissioning.errors import MeasurementRejected
 from commissioning.experiments.oscillations import Stretch
 from commissioning.identification.errors import NotShown
@@ -136,7 +138,9 @@ def _fitted(ready: Ready, measured: Measured) -> OutputErrorEstimate:
     """From what the first motions have shown."""
     known = ready.known
     start = Model(known.inertia, known.viscous, known.offset, known.dead_time)
-    return output_error(
+    found = output_error(
         measured.record, start, known.coulomb, noise=ready.context.noise,
         rotary=ready.units.position == "rad", spans=measured.spans,
     )  # fmt: skip
+    # a load that never moves is no part of what was measured
+    return replace(found, is_explained=False) if found.only_winds_up(known.coulomb) else found

@@ -437,7 +437,7 @@ def main() -> None:
     have = go_on(seed, kinds, axes, minutes)
     mine = [o for (kind, number), o in sorted(have.items()) if kind in kinds and number < axes]
     text = "\n".join(table(seed, mine, axes)) + "\n"
-    complete = len(mine) == axes * len(CLASSES)
+    complete = len(mine) == axes * len(CLASSES if PRECISION == ASKED else kinds)
     name = "accuracy.md" if PRECISION == ASKED else "accuracy_at_most.md"
     (HERE / name if complete else KNOWN / f"{seed}.md").write_text(text, "utf-8")
     print(text)

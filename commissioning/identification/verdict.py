@@ -323,9 +323,9 @@ def _of_terms(found: OutputErrorEstimate, units: UnitNames) -> list[Reason]:
                 "law.spring",
                 Weight.DOUBT if size("spring") * found.half_swing > _SPRING * f else Weight.NOTE,
                 f"a torque goes with the position as that of a spring of {size('spring'):.3g} "
-                f"{e}/{p}: the offset is that of the middle of the motion. It may be what the motor "
-                "winds up while the load stands still: then this is the motor's friction alone, "
-                "and more --max-torque moves the load",
+                f"{e}/{p}: the offset is that of the middle of the motion. It may be what the "
+                "motor winds up while the load stands still: then this is the motor's friction "
+                "alone, and more --max-torque moves the load",
             )
         )
     if "eccentricity" in found.terms:

@@ -14,7 +14,9 @@ from commissioning.identification.modulating import ModulatingEstimate, estimate
 from commissioning.identification.motion import Model
 from commissioning.identification.output_error import OutputErrorEstimate, output_error
 from commissioning.identification.reading import Explained
+from commissioning.identification.reasons import Weight
 from commissioning.identification.record import Record
+from commissioning.identification.verdict import UnitNames, of_output_error
 from commissioning.result.readings import MethodName
 from commissioning.rig.measured import Measured
 from tests.identification.spoiled import changed, relay_tests
@@ -185,3 +187,13 @@ def test_an_unexplained_fit_gives_no_number_where_another_method_has_one() -> No
     assert method(output_error=bad, modulating=other) == "modulating"
     assert method(output_error=good, modulating=other) == "output-error"
     assert method(output_error=bad) == "output-error"
+
+
+@pytest.mark.parametrize(("spring", "weight"), [("0.4", Weight.DOUBT), ("0.05", Weight.NOTE)])
+def test_a_spring_may_be_the_way_to_a_load_at_rest(spring: str, weight: Weight) -> None:
+    found = fitted(relay_tests({"spring": spring}))
+    reasons = {one.code: one for one in of_output_error(found, 1.0, UnitNames())}
+    assert set(reasons) == {"law.spring"}
+    assert reasons["law.spring"].weight is weight
+    assert found.only_winds_up(0.1) is False
+    assert replace(found, values=(Estimate(4.0, 4.0, 4.0),)).only_winds_up(0.2) is True

@@ -50,6 +50,7 @@ _HOPELESS = 2.5, 0.01  # colour and misfit that the best term leaves: another on
 _ENOUGH = 1.15, 1.3  # colour, and times the noise: below, no further term is looked for
 _FIRST_PROGRESS = 2  # segments of one period; one alone hardly tells Coulomb from viscous friction
 _WINDS, _A_PART = 0.5, 0.6  # of f that a spring takes at a half-swing; of the friction known before
+_NEARLY = 0.05  # misfit of a law beside which a curve is tried
 _LOW_SPEED = 4e-3  # of the peak speed
 _WIDER = 1.35  # what held 97 % beyond the draws that the factors are of
 _STAT_WHITE, _STAT_COLOURED, _SYSTEMATIC, _OF_MISFIT = 1.25, 3.0, 2e-4, 0.5
@@ -313,6 +314,8 @@ def _numbers(
 ) -> OutputErrorEstimate:
     """The fit as numbers; `wanders`: longer segments leave more, so the motion itself is noisy."""
     told, segments = _Told(fit, wanders), fit.segments
+    if not (level is not None and level > 0 and fit.misfit < _NEARLY):
+        level = None  # next to a motion that is far off, a curve says nothing
     coulomb, viscous, inertia = (told.number(n) for n in (_F, _B, _J))
     terms = tuple(term for term, numbers in _TERMS.items() if set(numbers) <= set(fit.which))
     values = {term: told.size(term) for term in terms}

@@ -25,6 +25,7 @@ _J, _B, _F, _OFFSET, _DELAY, _LAG = BASE
 _STEP, _SQUARE_STEP = 1e-4, 1e-3  # of their scales, by which parameters are changed
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e-13, 1e3
 _EASIER = 30.0  # by which damping is divided after a step that was good
+_AHEAD = 1.5  # samples
 _LONGEST_LAG = 2.0  # of the whole delay: a torque that only lags is no edge of what may be
 _ABSURD = 1e9  # swings: what diverges
 _DONE = 0.02  # of what one standard error changes the cost by: a step that brings less is the last
@@ -153,7 +154,7 @@ class PositionFit:
         by_states = np.einsum("sij,sj->si", inverse, rest - np.einsum("sip,p->si", both, moved))
         parameters = self.parameters.copy()
         parameters[list(self.which)] += moved * self.scale[list(self.which)]
-        parameters = _allowed(parameters, self.parameters)
+        parameters = _allowed(parameters, self.parameters, self.segments.step)
         scale = self.segments.state_scale()
         follows = replace(self, parameters=parameters, states=self.states + by_states * scale)
         return follows.answered(), expected
@@ -307,12 +308,14 @@ def _scales(segments: Segments, parameters: Array) -> Array:
     )
 
 
-def _allowed(parameters: Array, before: Array) -> Array:
+def _allowed(parameters: Array, before: Array, step: float) -> Array:
     """No further at once than the model has a meaning."""
     found = parameters.copy()
     found[_J] = np.clip(found[_J], 0.3 * before[_J], 3 * before[_J])
-    found[_DELAY] = max(found[_DELAY], 0.0)
-    found[_LAG] = np.clip(found[_LAG], 0.0, (_LONGEST_LAG * found[_DELAY]) ** 2)
+    # a drive that is read some time after it was commanded seems to have moved before
+    found[_DELAY] = max(found[_DELAY], -_AHEAD * step)
+    longest = _LONGEST_LAG * max(found[_DELAY], step)
+    found[_LAG] = np.clip(found[_LAG], 0.0, longest**2)
     load = NUMBER["load"]
     found[load] = np.clip(found[load], -0.5, 0.8)
     return found

@@ -49,7 +49,7 @@ _AGREE = 0.03  # of f
 # is there; and what of that its interval holds
 _HARMONICS, _OF_HARMONICS = (0.05, 0.15), 0.4
 _SPRING = 0.1  # of f, at a half-swing: a spring that may be the way to a load at rest
-_BEND = 2.0  # of what positions and torques differ by in friction
+_BEND, _MOST_BEND = 2.0, 0.25  # of what positions and torques differ by in friction
 _BEHIND = 0.03  # of f
 
 
@@ -292,7 +292,7 @@ def of_precision(f: Estimate, periods: int, wanted: float) -> list[Reason]:
 
 def holding(f: Estimate, level: float) -> Estimate:
     """The number with an interval that holds the level of a curve, and as much again in doubt."""
-    reach = _BEND * abs(f.value - level)
+    reach = min(_BEND * abs(f.value - level), _MOST_BEND * abs(f.value))
     return Estimate(f.value, min(f.low, f.value - reach), max(f.high, f.value + reach))
 
 

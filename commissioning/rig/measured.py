@@ -159,6 +159,8 @@ class Measured:
             return found
         cycle = float(np.median(np.diff(self.record.time)))
         half = (found.high - found.low) / 2
+        if name == "dead_time":  # below zero by what the read comes after the command
+            found = Estimate(max(found.value, 0.0), found.low, max(found.high, 0.0))
         allowed = {
             "viscous": 0.6 * max(found.value, 0.0),
             "inertia": 0.3 * max(found.value, 0.0),

@@ -19,7 +19,7 @@ def test_merging_two_homes_loses_nothing(
     tworelay: Tworelay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Both measured an axis of one name in one second, on computers of one name."""
-    now = time.time()
+    now = float(int(time.time())) + 0.5  # both within one second
     monkeypatch.setattr("commissioning.journal.time.time", lambda: now)
     other = {"TWORELAY_HOME": str(tmp_path / "other")}
     for where in ({}, other):

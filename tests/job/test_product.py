@@ -131,7 +131,7 @@ def test_the_report_is_one_file_that_needs_nothing_else(
         "coulomb_positive",
     ):
         assert words in text, words
-    assert path.read_text("utf-8").count("<svg") == 7
+    assert path.read_text("utf-8").count("<svg") == 8
 
 
 def test_what_comes_from_outside_is_escaped_in_the_report(

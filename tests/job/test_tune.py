@@ -329,7 +329,7 @@ def test_gains_are_judged_as_the_drive_holds_them(tworelay: Tworelay, tmp_path: 
     found = sets_of(json.loads(done.stdout), "drive", "corrected")["cascade"]
     assert not found["proposed"]
     assert found["why_not_code"] == "gains.too-fine"
-    assert found["why_not"].startswith("'integral_time' would be 0.00")
+    assert found["why_not"].startswith("'integral_time' would be 0.0075")
     assert found["parameters"] == []
 
 

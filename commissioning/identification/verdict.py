@@ -48,6 +48,7 @@ _AGREE = 0.03  # of f
 # of f, by which the balance's harmonics may differ: where it is preferred, and where nothing else
 # is there; and what of that its interval holds
 _HARMONICS, _OF_HARMONICS = (0.05, 0.15), 0.4
+_PLAIN = 1.15  # colour of what is left where the motion itself is explained
 _SPRING = 0.1  # of f, at a half-swing: a spring that may be the way to a load at rest
 _BEND, _MOST_BEND = 2.0, 0.25  # of what positions and torques differ by in friction
 _BEHIND = 0.03  # of f
@@ -266,6 +267,9 @@ def of_output_error(found: OutputErrorEstimate, wanted: float, units: UnitNames)
             "friction that falls with the speed would explain the positions as well (--method auto "
             "looks for it)"
             if found.bends
+            else "the positions are those of a motor that winds up a spring, behind which the load "
+            "stands still; more --max-torque moves it"
+            if found.colour < _PLAIN and "spring" in found.terms
             else f"a rigid axis leaves {100 * found.misfit:.2g} % of the friction unexplained in "
             "the positions: the axis is elastic, or its friction is of another kind (--method auto "
             "looks for it)",

@@ -119,8 +119,11 @@ def test_soft_friction_has_the_level_of_its_sigmoid(run: Identify) -> None:
     result = run("virtual://franka")
     recognised_and_said(result, "soft", "soft friction")
     coulomb = result["friction"]["coulomb"]
+    assert coulomb["low"] < coulomb["value"] < coulomb["high"]
     # beyond the fastest speed of the record the sigmoid is extrapolated: runs scatter by 2 %
     assert coulomb["value"] == pytest.approx(0.273, rel=0.03)
+    dozen = run("virtual://franka", method="modulating")["friction"]["coulomb"]
+    assert dozen["value"] == pytest.approx(0.273, rel=0.02)
     assert coulomb["low"] < 0.273 < coulomb["high"]
     law = result["methods"]["modulating"]["law"]
     assert law["soft_speed"] == pytest.approx(2 / 5.1, rel=0.05)

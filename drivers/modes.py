@@ -49,10 +49,13 @@ class Modes:
         """Tell the drive its mode, and see that it takes it; raises PreflightRefused, LinkError."""
         patience = self._profile.patience.mode
         self.write(code)
-        if self._access.comes(lambda: self._access.read("mode_display") == code, patience):
+        # a drive may have one register for both
+        both = "mode_display" not in self._profile.parameters
+        shown = "mode_of_operation" if both else "mode_display"
+        if self._access.comes(lambda: self._access.read(shown) == code, patience):
             return
         raise PreflightRefused(
-            f"the drive stays in mode {self._access.read('mode_display')} instead of {code} for "
+            f"the drive stays in mode {self._access.read(shown)} instead of {code} for "
             f"{patience:g} s; if it needs longer, say so in its profile: [patience] mode",
             code="mode.not-taken",
             wanted=code,

@@ -36,7 +36,7 @@ class CanopenAddress(Strict):
 
     index: Annotated[int, Field(ge=0x1000, le=0xFFFF)]
     sub: Annotated[int, Field(ge=0, le=0xFF)] = 0
-    type: Integer
+    type: Integer | Literal["f32"]
 
     @property
     def raw_range(self) -> tuple[int, int]:

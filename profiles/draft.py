@@ -139,6 +139,8 @@ def _take_access(parameter: Any, entry: EdsEntry, name: str, notes: list[str]) -
 def _take_limits(parameter: Any, entry: EdsEntry) -> None:
     if parameter.get("protection") not in ("experiment", "compensation"):
         return
+    if entry.type == "f32":
+        return
     bits = int((entry.type or "i32")[1:])
     signed = (entry.type or "i32")[0] == "i"
     lowest, highest = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)

@@ -21,6 +21,7 @@ _MOST_MENDED = 10_000
 # CiA 301, table 44: what a profile can carry
 DATA_TYPES: dict[int, str] = {
     0x01: "u8", 0x02: "i8", 0x03: "i16", 0x04: "i32", 0x05: "u8", 0x06: "u16", 0x07: "u32",
+    0x08: "f32",
     0x15: "i64", 0x1B: "u64",
 }  # fmt: skip
 _ACCESS = {

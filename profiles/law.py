@@ -59,6 +59,9 @@ _TERMS = {
     "gain": _Term(lambda a: a.coulomb, "{} of the Coulomb friction", is_friction=True),
     "speed": _Term(lambda a: None, "", is_friction=False),  # the drive's own: left as it is
     "viscous": _Term(lambda a: a.viscous, "{} of the viscous friction", is_friction=True),
+    "static": _Term(lambda a: a.coulomb, "{} of the Coulomb friction", is_friction=True),
+    "spring": _Term(lambda a: None, "", is_friction=False),  # stiffness before it slips: likewise
+    "dynamic": _Term(lambda a: a.viscous, "{} of the viscous friction", is_friction=True),
     "points": _Term(lambda a: None, "points of the table", is_friction=False),
 }
 
@@ -68,24 +71,29 @@ class CompensationLaw(StrEnum):
 
     Attributes
     ----------
-    must, may : terms that it has, and that it can have
+    must : terms that it has, one set of them
+    may : terms that it can have
     """
 
-    must: frozenset[str]
+    must: tuple[frozenset[str], ...]
     may: frozenset[str]
 
     # nothing to write: identify and report only
     NONE = "none", "", ""
     # T = offset + F+ or F- by direction
     OFFSET_ASYMMETRIC = "offset+asymmetric", "positive negative", "offset"
-    # T = F * sign(v)
+    # T = offset + F * sign(v)
     SINGLE_GAIN = "single-gain", "gain", "offset"
-    # T = F * clip(v / v0, -1, 1)
-    SATURATED_LINEAR = "saturated-linear", "gain speed", "offset"
+    # T = offset + F * clip(v / v0, -1, 1), where F is one for both directions or F+ or F-
+    SATURATED_LINEAR = "saturated-linear", "gain speed|positive negative speed", "offset viscous"
     # T = offset + F+ or F- by direction + B * v
     COULOMB_VISCOUS = "coulomb+viscous", "positive negative viscous", "offset"
+    # T = offset + clip(k * x, -F, F) + B * v, where x is the way since the reversal
+    SPRING_STATIC_DYNAMIC = "spring+static+dynamic", "static spring dynamic", "offset"
     # T = offset + torque over speed, interpolated between points, odd in v
     TABLE = "table", "points", "offset"
+    # T = offset + torque of the first level whose speed is not passed, odd in v
+    LEVELS = "levels", "", "offset points"
     # nothing in the drive: the master adds T = offset + F * sign(v) in every cycle
     HOST = "host", "", ""
 
@@ -93,12 +101,22 @@ class CompensationLaw(StrEnum):
         """A law by its name and terms."""
         one = str.__new__(cls, name)
         one._value_ = name
-        one.must, one.may = frozenset(must.split()), frozenset(may.split())
+        one.must = tuple(frozenset(terms.split()) for terms in must.split("|"))
+        one.may = frozenset(may.split())
         return one
+
+    @property
+    def has_table(self) -> bool:
+        """Whether torques stand over speeds in it."""
+        return self in (CompensationLaw.TABLE, CompensationLaw.LEVELS)
+
+    def takes(self, terms: frozenset[str]) -> bool:
+        """Whether these are its terms."""
+        return any(must <= terms <= must | self.may for must in self.must)
 
 
 class TablePoint(Strict):
-    """One point of a friction table.
+    """One point of a friction table, or one level.
 
     The parameters that hold it, and the speed to give it (rad/s, motor).
     """
@@ -125,6 +143,9 @@ class Compensation(Strict):
     gain: str | None = None
     speed: str | None = None
     viscous: str | None = None
+    static: str | None = None
+    spring: str | None = None
+    dynamic: str | None = None
     points: str | None = None  # how many points the table has
     table: tuple[TablePoint, ...] = ()
     host: str | None = None
@@ -152,9 +173,13 @@ class Compensation(Strict):
             if parameter is not None and value is not None:
                 sign = self.negative_sign if name == "negative" else 1
                 found[parameter] = TermValue(sign * value, term.why.format(amount.share))
+        below = 0.0
         for point in self.table:
             speed = point.at * amount.motor_speed
-            torque = amount.coulomb + (amount.viscous or 0.0) * speed
+            # a level is for all speeds up to its own: what friction is in their middle
+            here = (below + speed) / 2 if self.law is CompensationLaw.LEVELS else speed
+            below = speed
+            torque = amount.coulomb + (amount.viscous or 0.0) * here
             found[point.speed] = TermValue(speed, "speed of a point of the table")
             found[point.torque] = TermValue(torque, f"{amount.share} of the friction at that speed")
         if self.points is not None:
@@ -169,25 +194,38 @@ class Compensation(Strict):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if (self.law is CompensationLaw.TABLE) != bool(self.table):
-            raise ValueError("law 'table' has its points in table, and no other law does")
+        if self.law.has_table != bool(self.table):
+            raise ValueError(
+                "laws 'table' and 'levels' have their points in table, and no other law does"
+            )
         speeds = [point.at for point in self.table]
         if speeds != sorted(set(speeds)):
             raise ValueError("the speeds of table must rise from point to point")
-        must, may = self.law.must, self.law.may
-        there = {name for name in self.terms if not name[-1].isdigit()}
-        if missing := must - there:
-            raise ValueError(f"law '{self.law}' needs {', '.join(sorted(missing))}")
-        if extra := there - must - may:
-            takes = ", ".join(sorted(must | may)) or "no parameters"
-            raise ValueError(
-                f"law '{self.law}' takes {takes}, and the profile names "
-                f"{', '.join(sorted(extra))}, too: leave that out, or name the law that it belongs "
-                "to"
-            )
+        there = frozenset(name for name in _TERMS if getattr(self, name) is not None)
+        if not self.law.takes(there):
+            raise ValueError(_other_terms(self.law, there))
         if (self.law is CompensationLaw.HOST) != (self.host is not None):
             raise ValueError("law 'host' names the torque offset as host, and no other law does")
         return self
+
+
+def _other_terms(law: CompensationLaw, there: frozenset[str]) -> str:
+    """Why these terms are not that law's, and which law they belong to."""
+    sets = [_listed(must) for must in law.must if must]
+    takes = " or ".join(sets) or "no parameters"
+    may = f", and can have {_listed(law.may)}" if law.may else ""
+    others = [one for one in CompensationLaw if not one.has_table and one.takes(there)]
+    way = f"; those are the terms of '{others[0]}'" if others and there else ""
+    nearest = min(law.must, key=lambda must: len(must ^ there))
+    missing = nearest - there
+    if missing:
+        return f"law '{law}' needs {_listed(missing)}: it takes {takes}{may}{way}"
+    extra = _listed(there - nearest - law.may)
+    return f"law '{law}' takes {takes}{may}, and the profile names {extra}, too{way}"
+
+
+def _listed(terms: frozenset[str]) -> str:
+    return ", ".join(name for name in _TERMS if name in terms)
 
 
 class LoopGains(Strict):

@@ -28,6 +28,8 @@ class Unit(StrEnum):
     RATED_TORQUE = "rated"  # share of the rated torque
     RATED_TORQUE_PER_SPEED = "rated/(rad/s)"
     TORQUE = "N.m"
+    TORQUE_PER_SPEED = "N.m/(rad/s)"
+    STIFFNESS = "N.m/rad"
     CURRENT = "A"  # of the motor; a torque by its torque constant
     REVOLUTION = "rev"
     INCREMENT = "increment"  # of the position encoder

@@ -68,9 +68,10 @@ class Profile(Strict):
     stop_time: Annotated[float, Field(gt=0)] = 1.0  # s, from `stop` to rest, brake closed
     requires: tuple[Condition, ...] = ()  # looked at before anything is written
     exclusive: Step | None = None  # locks other masters out: written first, put back last
+    # current: a second one of the torque; negative: of that direction, where it has its own
     limits: dict[
-        Literal["torque", "speed", "current"], str
-    ] = {}  # current: a second one of the torque
+        Literal["torque", "torque_negative", "speed", "speed_negative", "current"], str
+    ] = {}
     watchdog: Watchdog
     patience: Patience = Patience()
     store: Store | None = None
@@ -100,9 +101,12 @@ class Profile(Strict):
             )
         wanted = {"torque_target", "position_actual"} if self.moves else set()
         if self.state_machine == "cia402":
-            wanted |= {"controlword", "statusword", "mode_of_operation", "mode_display"}
+            wanted |= {"controlword", "statusword", "mode_of_operation"}
             if any(code.code is None for codes in self.modes.values() for code in codes):
                 raise ValueError("[modes] lacks a code: a CiA 402 drive is told its mode")
+        for kind in ("torque", "speed"):
+            if f"{kind}_negative" in self.limits and kind not in self.limits:
+                raise ValueError(f"[limits] has {kind}_negative, and no {kind} of the other way")
         if missing := wanted - known:
             raise ValueError(f"[parameters] lacks {', '.join(sorted(missing))}")
         for where, name in self._references():
@@ -211,7 +215,6 @@ class Profile(Strict):
         for mode, codes in self.modes.items():
             if any(code.code is not None for code in codes):
                 found.append((f"modes.{mode}", "mode_of_operation"))
-                found.append((f"modes.{mode}", "mode_display"))
         watchdog = self.watchdog
         named = (watchdog.parameter, watchdog.reaction, watchdog.guard_time, watchdog.life_factor)
         found += [("watchdog", name) for name in named if name]

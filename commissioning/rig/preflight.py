@@ -194,9 +194,9 @@ def _between_ends(axis: Axis, start: float, travel: float) -> None:
 
 def _torque(drive: Drive, axis: Axis, options: Options, rated: float) -> float:
     """Largest torque, N.m or N."""
-    by_torque, by_current = drive.limits.get("torque"), drive.limits.get("current")
+    by_torque, by_current = _lowest(drive, "torque"), drive.limits.get("current")
     e, asked = axis.effort_unit, options.max_torque or axis.limits.torque
-    most = drive.read(by_torque).si if by_torque else rated
+    most = abs(drive.read(by_torque).si) if by_torque else rated
     if most <= 0:
         if asked is None:
             raise PreflightRefused(
@@ -223,10 +223,17 @@ def _torque(drive: Drive, axis: Axis, options: Options, rated: float) -> float:
     return torque
 
 
+def _lowest(drive: Drive, kind: str) -> str | None:
+    """Parameter of the lower one of a limit's directions; None: the drive has no such limit."""
+    found = {name: abs(drive.read(name).si) for name in _both_ways(drive, kind)}
+    # 0 is no limit, and is told where there is no other
+    return min(found, key=lambda name: found[name] or float("inf"), default=None)
+
+
 def _speed(drive: Drive, axis: Axis, options: Options) -> float:
     """Largest speed, rad/s or m/s."""
-    by_speed = drive.limits.get("speed")
-    fastest = drive.read(by_speed).si if by_speed else None
+    by_speed = _lowest(drive, "speed")
+    fastest = abs(drive.read(by_speed).si) if by_speed else None
     speed = options.max_speed or axis.limits.speed or fastest
     if not speed:
         has = (
@@ -242,20 +249,33 @@ def _speed(drive: Drive, axis: Axis, options: Options) -> float:
 
 def writes(drive: Drive, limits: Limits) -> dict[str, int]:
     """Raw value of every parameter that is set for the experiment and put back after it."""
-    named = drive.limits
     # first what keeps the drive from moving and from storing; it is put back last
     found = drive.preparation.settings(Mode.TORQUE)
     for kind, value in (
         ("torque", limits.torque),
         ("speed", _DRIVE_SPEED * cautious_speed(drive, limits)),
     ):
-        name = named.get(kind)
-        if name is not None:
-            raw = drive.parameters[name].raw(value)
-            there = drive.read(name).raw
-            found[name] = max(1, min(raw, there)) if there > 0 else raw
+        for name in _both_ways(drive, kind):
+            found[name] = _limited(drive, name, value, drive.read(name).raw)
     found |= drive.preparation.watchdog()
     return found
+
+
+def _both_ways(drive: Drive, kind: str) -> list[str]:
+    """Parameters of one of the drive's limits: one, one of each direction, or none."""
+    named = (drive.limits.get(key) for key in (kind, f"{kind}_negative"))
+    return [name for name in named if name is not None]
+
+
+def _limited(drive: Drive, name: str, value: float, most: int) -> int:
+    """Raw value of a limit (SI), within `most`, which is what the drive had; 0: it had none.
+
+    A limit of the negative direction may be counted below zero.
+    """
+    what = drive.parameters[name]
+    sign = -1 if what.parameter.range[1] <= 0 else 1
+    raw, there = sign * what.raw(sign * value), sign * most
+    return sign * (max(1, min(raw, there)) if there > 0 else raw)
 
 
 def cautious_speed(drive: Drive, limits: Limits, dead_time: float | None = None) -> float:
@@ -272,11 +292,9 @@ def cautious_speed(drive: Drive, limits: Limits, dead_time: float | None = None)
 
 def widen_speed(drive: Drive, settings: Settings, speed: float) -> None:
     """The drive may let the axis go faster than before, as fast as `speed` (rad/s or m/s) says."""
-    name = drive.limits.get("speed")
-    if name is not None:
-        most = settings.oldest(name)
-        raw = drive.parameters[name].raw(_DRIVE_SPEED * speed)
-        settings.write("experiment", name, max(1, min(raw, most)) if most > 0 else raw)
+    for name in _both_ways(drive, "speed"):
+        limit = _limited(drive, name, _DRIVE_SPEED * speed, settings.oldest(name))
+        settings.write("experiment", name, limit)
 
 
 def set_limits(

@@ -7,7 +7,7 @@ event-driven PDOs with their event timers.
 from __future__ import annotations
 
 import struct
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from drivers.virtual.aborts import (
     ABORT_BLOCK_SIZE,
@@ -436,11 +436,11 @@ class CanopenNode:
             raise Abort(DENIALS[denied.reason]) from None
 
     @staticmethod
-    def _number(data: bytes, code: str, *, sized: bool) -> int:
+    def _number(data: bytes, code: str, *, sized: bool) -> Any:
         size = struct.calcsize("<" + code)
         if sized and len(data) != size:
             raise Abort(ABORT_LENGTH)
-        return int(struct.unpack("<" + code, data[:size])[0])
+        return struct.unpack("<" + code, data[:size])[0]
 
     def _write_pdo(self, pdo: NodePdo, index: int, sub: int, data: bytes) -> None:
         pdo.write(index, sub, data, self._dictionary.objects)

@@ -25,7 +25,7 @@ class Entry(NamedTuple):
     """Object that mirrors firmware values: object value times `factor` is the firmware's.
 
     `keys`: every one is written, the first is read; none: the object keeps a value by its `name`
-    and does nothing by itself.
+    and does nothing by itself. `codes`: values of the object, each with the firmware's for it.
     """
 
     keys: tuple[str, ...]
@@ -34,6 +34,7 @@ class Entry(NamedTuple):
     factor: float = 1.0
     default: float = 0
     name: str = ""
+    codes: tuple[tuple[int, int], ...] = ()
 
 
 class Mirror:
@@ -59,6 +60,9 @@ class Mirror:
         if not entry.keys:
             return self._kept.get(entry.name, entry.default)
         stored = self._device.read(entry.keys[0])
+        for code, meant in entry.codes:
+            if stored == meant:
+                return code
         value = stored / entry.factor
         if entry.code == "f":  # a number is read as it was written, finer than the firmware counts
             written = self._kept.get(entry.name, value)
@@ -72,8 +76,9 @@ class Mirror:
             raise Denied(DenialReason.RANGE)
         if not entry.keys or entry.code == "f":
             self._kept[entry.name] = value
+        meant = dict(entry.codes).get(int(value), value)
         for key in entry.keys:
-            self._device.write(key, round(value * entry.factor))
+            self._device.write(key, round(meant * entry.factor))
         if self._switchgear is not None:
             self._switchgear.written(entry.name, int(value))
         if self._keeps:

@@ -13,6 +13,7 @@ from profiles.schema import Profile
 
 __all__ = ["Switchgear"]
 
+_REMEMBERED = 16  # values of a register: the longest sequence of keys that enables
 _SHUTDOWN, _SWITCH_ON, _ENABLE, _QUICK_STOP, _OFF, _RESET = 0x06, 0x07, 0x0F, 0x02, 0x00, 0x80
 
 Write = tuple[str, int]
@@ -24,7 +25,7 @@ class Switchgear:
     def __init__(self, device: Device, profile: Profile, power: Power) -> None:
         self._device = device
         self._power = power
-        self._there: dict[str, int] = {}
+        self._recent: dict[str, list[int]] = {}  # raw values, the latest last
         self._enable = _writes(power.enable)
         self._reset = _writes(power.reset)
         self._stop = [step for step in _writes(profile.stop) if step[0] != "torque_target"]
@@ -38,13 +39,14 @@ class Switchgear:
         switched = {name for name, _ in self._enable} | {"torque_target"}
         before = _writes(profile.modes[Mode.TORQUE][0].before) if profile.moves else []
         self._torque = [write for write in before if write[0] not in switched]
+        self._is_told_its_mode = "mode_of_operation" in profile.parameters
         if profile.watchdog.kind == "none":
             device.firmware.values["watchdog_time"] = 0
 
     def written(self, name: str, raw: int) -> None:
         """An object was written; raises Denied."""
         held = self._hold(self._enable)
-        self._there[name] = raw
+        self._recent[name] = [*self._recent.get(name, [0]), raw][-_REMEMBERED:]
         write = (name, raw)
         if write in self._disable:
             self._control(_OFF)
@@ -53,10 +55,11 @@ class Switchgear:
         elif write in self._reset:
             self._control(_RESET, _OFF)
         elif self._enable and self._hold(self._enable) and (not held or write == self._enable[-1]):
-            torque = self._hold(self._torque)
-            self._device.firmware.write(
-                "mode", MODE_CYCLIC_TORQUE if torque else MODE_CYCLIC_POSITION
-            )
+            if not self._is_told_its_mode:
+                torque = self._hold(self._torque)
+                self._device.firmware.write(
+                    "mode", MODE_CYCLIC_TORQUE if torque else MODE_CYCLIC_POSITION
+                )
             self._control(_SHUTDOWN, _SWITCH_ON, _ENABLE)
         elif self._store and write == self._store[-1]:
             self._device.write("store_command", 1)
@@ -81,14 +84,21 @@ class Switchgear:
             (stopping, brakes),
             (fault, tripped),
         )
-        told: int | None = None
-        for condition, holds in conditions:
-            if condition is not None and condition.parameter == name:
-                told = (told or 0) | _bits(condition, holds=holds, moves=firmware.velocity != 0)
-        return told
+        there = [
+            (condition, holds)
+            for condition, holds in conditions
+            if condition is not None and condition.parameter == name
+        ]
+        return _word(there, moves=firmware.velocity != 0) if there else None
 
     def _hold(self, writes: list[Write]) -> bool:
-        return all(self._there.get(name, 0) == raw for name, raw in writes)
+        """Whether each register has had its values last, in their order."""
+        wanted: dict[str, list[int]] = {}
+        for name, raw in writes:
+            wanted.setdefault(name, []).append(raw)
+        return all(
+            self._recent.get(name, [0])[-len(raws) :] == raws for name, raws in wanted.items()
+        )
 
     def _control(self, *words: int) -> None:
         for word in words:
@@ -101,14 +111,27 @@ def _writes(steps: tuple[Step, ...]) -> list[Write]:
     ]
 
 
-def _bits(condition: Condition, *, holds: bool, moves: bool) -> int:
-    """A raw value with which the condition holds, or does not.
+def _word(conditions: list[tuple[Condition, bool]], *, moves: bool) -> int:
+    """A raw value with which each condition holds, or does not.
 
-    Of several, one says that the axis moves.
+    Of several values that say the same, the last one says that the axis moves.
     """
-    other = condition.mask & 0xFFFF
+    found = [0]
+    for condition, holds in conditions:
+        found = [word | bits for bits in _bits(condition, holds=holds, moves=moves)
+                 for word in found]  # fmt: skip
+    return next(
+        (word for word in found if all(c.holds(word) is holds for c, holds in conditions)), found[0]
+    )
+
+
+def _bits(condition: Condition, *, holds: bool, moves: bool) -> list[int]:
+    """Raw values with which one condition holds, or does not; the plainest first."""
+    every = condition.mask & 0xFFFF
+    least = every & -every
     if condition.differs is None:
-        value = condition.wanted[-1 if moves else 0]
-        return value if holds else (0 if value else other)
-    differs = condition.differs or 0
-    return differs ^ (other & -other) if holds else differs
+        wanted = condition.wanted
+        if holds:
+            return list(reversed(wanted)) if moves else list(wanted)
+        return [0, every, *(value ^ least for value in wanted)]
+    return [condition.differs ^ least, every] if holds else [condition.differs]

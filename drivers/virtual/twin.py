@@ -15,12 +15,18 @@ from drivers.virtual.dictionary import SIMULATION, Dictionary
 from drivers.virtual.habits import NONE, Habits
 from drivers.virtual.habitual_slave import bent
 from drivers.virtual.mirror import Entry
-from drivers.virtual.objects import MODES
+from drivers.virtual.objects import (
+    MODE_CYCLIC_POSITION,
+    MODE_CYCLIC_TORQUE,
+    MODE_PROFILE_TORQUE,
+    MODES,
+)
 from drivers.virtual.registers import CLOCK, Layout, RegisterMap
 from drivers.virtual.switchgear import Switchgear
 from profiles.address import CanopenAddress, MailboxAddress, ModbusAddress
 from profiles.errors import UsageError
 from profiles.parameter import Parameter, Unit
+from profiles.procedures import Mode
 from profiles.schema import Profile
 
 __all__ = ["modbus_twin", "twin"]
@@ -58,6 +64,10 @@ _CLOCK = {
     CLOCK + 2: Entry(("simulation_advance",), "I"),
     CLOCK + 4: Entry((), "H", "ro", default=_MARK, name="mark of a twin"),
 }
+# the modes of CiA 402 that the firmware knows; the first is what another code means
+_STANDARD = {
+    Mode.TORQUE: (MODE_CYCLIC_TORQUE, MODE_PROFILE_TORQUE), Mode.POSITION: (MODE_CYCLIC_POSITION,),
+}  # fmt: skip
 RATED_CURRENT = 2.0  # A, of every virtual motor
 
 
@@ -169,8 +179,11 @@ def _between(profile: Profile) -> frozenset[int]:
 
 def _behind(profile: Profile) -> dict[str, tuple[str, ...]]:
     """Firmware values behind parameters of compensation, limits and watchdog."""
-    limits = profile.limits.items()
-    found = {name: (f"max_{kind}",) for kind, name in limits if kind != "current"}
+    found = {
+        name: (f"max_{kind}",)
+        for kind, name in profile.limits.items()
+        if kind in ("torque", "speed")
+    }
     if profile.watchdog.parameter is not None:
         found[profile.watchdog.parameter] = ("watchdog_time",)
     return found | _compensation(profile)
@@ -182,6 +195,7 @@ def _compensation(profile: Profile) -> dict[str, tuple[str, ...]]:
     named = {
         law.offset: ("torque_offset",), law.positive: both[:1], law.negative: both[1:],
         law.gain: both, law.speed: ("coulomb_speed",), law.viscous: ("viscous_gain",),
+        law.static: both, law.dynamic: ("viscous_gain",),
     }  # fmt: skip
     if not law.terms:
         return {}
@@ -210,13 +224,48 @@ def _entry(
         return Entry((), code, "ro", name=name, default=round(axis.temperature / parameter.scale))
     known = [key for key in keys if key in _FIRMWARE]
     if not known:
-        wanted = [value for c in profile.requires if c.parameter == name for value in c.wanted]
-        return Entry((), code, access, name=name, default=wanted[0] if wanted else 0)
+        return Entry((), code, access, name=name, default=_delivered(name, profile, axis))
     unit, step = _FIRMWARE[known[0]]
     law = profile.compensation
     sign = law.negative_sign if name == law.negative else 1
     factor = sign * parameter.scale * _size(parameter.unit, axis) / (step * _size(unit, axis))
-    return Entry(tuple(known), code, access, factor, name=name)
+    return Entry(tuple(known), code, access, factor, name=name, codes=_codes(known[0], profile))
+
+
+def _delivered(name: str, profile: Profile, axis: VirtualAxis) -> int:
+    """What an object that the firmware does not know reads before anybody has written to it.
+
+    What the profile requires of it; a limit's most; else what no step has to write.
+    """
+    parameter = profile.parameters[name]
+    for condition in profile.requires:
+        if condition.parameter == name and condition.wanted:
+            return condition.wanted[0]
+    most = {"torque_negative": axis.peak, "speed_negative": axis.speed}
+    for kind, value in most.items():
+        if profile.limits.get(kind) == name:  # type: ignore[call-overload]
+            raw = round(value / (parameter.scale * _size(parameter.unit, axis)))
+            return -raw if parameter.range[1] <= 0 else raw
+    before = [step for codes in profile.modes.values() for code in codes for step in code.before]
+    watchdog = profile.watchdog
+    written = {step.raw for step in before if step.write == name}
+    written |= {watchdog.reaction_raw} if watchdog.reaction == name else set()
+    enabling = {s.raw for s in profile.power.enable if s.write == name} if profile.power else set()
+    taken = enabling or written  # a register that enables rests at 0
+    free = (raw for raw in range(len(taken) + 1) if parameter.allows(raw))
+    return next((raw for raw in free if raw not in taken), 0)
+
+
+def _codes(key: str, profile: Profile) -> tuple[tuple[int, int], ...]:
+    """The modes as the profile counts them, where it is not as CiA 402 does."""
+    if key not in ("mode", "mode_display"):
+        return ()
+    return tuple(
+        (code.code, _STANDARD[mode][0])
+        for mode, codes in profile.modes.items()
+        for code in codes
+        if code.code is not None and code.code not in _STANDARD[mode]
+    )
 
 
 def _size(unit: Unit, axis: VirtualAxis) -> float:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Link",
     "Trace",
+    "agreed",
     "axis_of",
     "check_files_of_others",
     "check_virtual",
@@ -248,7 +249,7 @@ def _open_modbus(
         if to_stop and profile is not None and identity == NOBODY:
             chosen = profile  # whatever it is, it is to be stopped
         else:
-            chosen = _armed_with(_agree(identity, "modbus", profile), axis)
+            chosen = _armed_with(agreed(identity, "modbus", profile), axis)
         return ModbusBus(client, chosen, _pace(link, cycle or chosen.link.cycle)), chosen
     except BaseException:
         client.close()
@@ -312,7 +313,7 @@ def _open_canopen(
         if to_stop and profile is not None and identity == NAMELESS:
             chosen = profile  # it is busy, or has none: whatever it is, it is to be stopped
         else:
-            chosen = _armed_with(_agree(identity, "canopen", profile), axis)
+            chosen = _armed_with(agreed(identity, "canopen", profile), axis)
         lacking: tuple[str, ...] = ()
         if not to_stop:  # which asks nothing before it stops
             chosen, lacking = as_it_is(
@@ -387,8 +388,11 @@ def _pace(link: Link, cycle: float) -> Pace:
     return StepPace(cycle) if link.is_stepping else WallPace(cycle)
 
 
-def _agree(identity: Identity, bus: str, named: Profile | None) -> Profile:
-    """The named profile if the drive is what it is for, else the one that fits."""
+def agreed(identity: Identity, bus: str, named: Profile | None) -> Profile:
+    """The named profile if the drive is what it is for, else the one that fits.
+
+    Raises IdentityMismatch.
+    """
     if named is None:
         return fitting(identity, bus)
     if not named.identity.accepts(identity):

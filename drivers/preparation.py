@@ -126,6 +126,10 @@ class Preparation:
             settings[watchdog.reaction] = watchdog.reaction_raw
         return settings
 
+    def code_of(self, mode: Mode) -> int | None:
+        """Value of `mode_of_operation` by which the drive is told that mode; None: by its steps."""
+        return self._modes.supported(mode).code
+
     def mode_codes(self) -> list[int]:
         """Values of `mode_of_operation` that are set, in the order in which they may be left."""
         codes = [self._modes.supported(Mode.TORQUE).code]

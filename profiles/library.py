@@ -206,9 +206,10 @@ def check(profile: Profile) -> list[Finding]:
         for cell in cells:
             other, taken = seen.get(cell, (name, 0))
             if taken & bits:
-                found.append(
-                    Finding("error", f"[parameters.{name}] overlaps '{other}' at {address}")
-                )
+                text = f"[parameters.{name}] overlaps '{other}' at {address}"
+                if {name, other} == {"mode_of_operation", "mode_display"}:
+                    text += ": leave mode_display out, the mode is read back where it is written"
+                found.append(Finding("error", text))
             seen[cell] = (name, taken | bits)
     found += [
         Finding("warning", f"[parameters.{name}] is written by apply but unverified")
@@ -238,6 +239,12 @@ def check(profile: Profile) -> list[Finding]:
             )
         )
         return found
+    return found + _of_motion(profile)
+
+
+def _of_motion(profile: Profile) -> list[Finding]:
+    """What will go wrong with a drive that is moved."""
+    found: list[Finding] = []
     if not profile.stop:
         found.append(Finding("error", "[stop] is empty: there is no way to stop the drive"))
     if profile.watchdog.kind == "none":
@@ -245,9 +252,9 @@ def check(profile: Profile) -> list[Finding]:
             Finding("warning", "[watchdog] kind is 'none': the drive does not notice a dead link")
         )
     found += [
-        Finding("warning", f"[limits] has no {name} limit in the drive")
-        for name in ("torque", "speed")
-        if name not in profile.limits
+        Finding("warning", f"[limits] has no {kind} limit in the drive")
+        for kind in ("torque", "speed")
+        if kind not in profile.limits
     ]
     return found
 

@@ -31,8 +31,9 @@ from drivers.modbus.transports import (
     WriteMultipleRegistersRequest,
     WriteSingleRegisterRequest,
     connected,
+    local,
 )
-from drivers.modbus.wires import RtuLine, TcpWire, Wire
+from drivers.modbus.wires import LocalWire, RtuLine, TcpWire, Wire
 from drivers.pace import Silence
 from drivers.serial_port import SerialPort, Stream
 from profiles.procedures import LinkDefaults
@@ -94,6 +95,8 @@ class Client:
         self._client: TcpClient | SerialClient
         if isinstance(wire, RtuLine):
             self._client = SerialClient(wire, timeout, self._sent, self._came)
+        elif isinstance(wire, LocalWire):
+            self._client = local(wire, timeout, self._sent, self._came)
         else:
             self._client = connected(wire, timeout, self._sent, self._came)
 

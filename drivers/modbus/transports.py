@@ -8,7 +8,7 @@ import socket
 import ssl
 from collections.abc import Callable
 from time import perf_counter
-from typing import Protocol
+from typing import Any, Protocol
 
 from pymodbus import FramerType
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
@@ -21,13 +21,14 @@ from pymodbus.pdu.register_message import (
 )
 
 from drivers.errors import LinkError
-from drivers.modbus.wires import RtuLine, TcpWire
+from drivers.modbus.wires import LocalWire, RtuLine, TcpWire
 
 __all__ = [
     "NEVER_DISCONNECT",
     "Came",
     "ConnectionException",
     "FramerType",
+    "LocalClient",
     "MaskWriteRegisterRequest",
     "ModbusException",
     "ModbusPDU",
@@ -37,6 +38,7 @@ __all__ = [
     "WriteMultipleRegistersRequest",
     "WriteSingleRegisterRequest",
     "connected",
+    "local",
 ]
 
 logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
@@ -127,6 +129,45 @@ def connected(wire: TcpWire, timeout: float, on_packet: Packet, came: Came) -> T
         ) from None
     plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     client.socket = plain if wire.tls is None else wire.tls.wrap(plain, wire.host)
+    return client
+
+
+class _Pipe:
+    """What pymodbus takes for a socket, and leads to a unit in this process."""
+
+    def __init__(self, answers: Callable[[bytes], bytes]) -> None:
+        self._answers = answers
+        self.came = b""
+
+    def send(self, data: bytes) -> int:
+        self.came += self._answers(bytes(data))
+        return len(data)
+
+    def close(self) -> None:
+        self.came = b""
+
+
+class LocalClient(TcpClient):
+    """A client without a socket."""
+
+    def raw(self, seconds: float) -> bytes:
+        """What has come; nothing comes later."""
+        pipe: Any = self.socket
+        if pipe is None:
+            raise ConnectionException(str(self))
+        data: bytes = pipe.came
+        pipe.came = b""
+        if not data:
+            self.until = 0.0
+        return data
+
+
+def local(wire: LocalWire, timeout: float, on_packet: Packet, came: Came) -> LocalClient:
+    """A client of a unit in this process."""
+    client = LocalClient("local", framer=FramerType.SOCKET, timeout=timeout, retries=0,
+                         trace_packet=on_packet)  # fmt: skip
+    client.came = came
+    client.socket = _Pipe(wire.answers)  # type: ignore[assignment]
     return client
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import ssl
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from drivers.serial_port import SerialPort
 from profiles.errors import UsageError
 from profiles.files import contents
 
-__all__ = ["RtuLine", "TcpWire", "Tls", "Wire"]
+__all__ = ["LocalWire", "RtuLine", "TcpWire", "Tls", "Wire"]
 
 _FAST = 19200  # baud, above which the silence no longer shrinks
 _FAST_SILENCE = 0.00175  # s (Modbus over Serial Line V1.02, 2.5.1.1)
@@ -156,4 +157,21 @@ class RtuLine:
         return f"{self.port} at {self.baudrate} baud 8{self.parity}{self.stopbits}"
 
 
-Wire = TcpWire | RtuLine
+@dataclass(frozen=True, slots=True)
+class LocalWire:
+    """No wire: a unit in this process, which takes requests and gives answers, with MBAP.
+
+    Parameters
+    ----------
+    answers : bytes that were sent → what comes back for them
+    """
+
+    answers: Callable[[bytes], bytes]
+    rtu: bool = False
+    silence: float = 0.0
+
+    def __str__(self) -> str:
+        return "its twin in this process"
+
+
+Wire = TcpWire | RtuLine | LocalWire

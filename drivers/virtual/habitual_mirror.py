@@ -97,7 +97,7 @@ class HabitualMirror(Mirror):
             super().set(entry, value)
             self._limit = int(value)
             self._limit_torque()
-        elif entry.name == "max_current":
+        elif entry.name == "max_current" and not keys:
             super().set(entry, value)
             self._current = int(value)
             self._limit_torque()

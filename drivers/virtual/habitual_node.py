@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 from drivers.virtual.aborts import Abort
@@ -13,7 +14,7 @@ from drivers.virtual.dictionary import OWN, Dictionary
 from drivers.virtual.firmware import SECOND
 from drivers.virtual.habits import NONE, Habits
 from drivers.virtual.habitual_mirror import mirror_of
-from drivers.virtual.mirror import Entry
+from drivers.virtual.mirror import Entry, Mirror
 from drivers.virtual.node_pdo import NodePdo
 from drivers.virtual.states import State
 
@@ -48,6 +49,7 @@ class HabitualNode(CanopenNode):
         node_id: int,
         dictionary: Dictionary = OWN,
         habits: Habits = NONE,
+        around: Callable[[Mirror], Mirror] = lambda mirror: mirror,
     ) -> None:
         self._habits = habits
         self._late: list[tuple[float, Frame]] = []  # s, and what is said then
@@ -56,7 +58,7 @@ class HabitualNode(CanopenNode):
         self._synced, self._period = 0, 0  # ns
         self._guard, self._life, self._guard_toggle = 0, 0, 0
         super().__init__(
-            device, node_id, _bent(dictionary, habits, device), mirror_of(device, habits)
+            device, node_id, _bent(dictionary, habits, device), around(mirror_of(device, habits))
         )
         if "lenient" in habits:
             self._error_behaviour = 1

@@ -6,14 +6,14 @@ A value of more than 16 bits takes several registers, which are read and written
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from drivers.virtual.device import Device
 from drivers.virtual.habits import NONE, Habits
 from drivers.virtual.habitual_mirror import mirror_of
 from drivers.virtual.mailbox import VirtualMailbox
-from drivers.virtual.mirror import Entry
+from drivers.virtual.mirror import Entry, Mirror
 from drivers.virtual.modbus_identity import PRODUCT, REVISION, VENDOR
 from drivers.virtual.states import DenialReason, Denied
 from drivers.virtual.switchgear import Switchgear
@@ -97,7 +97,10 @@ OWN = Layout(
 
 
 class RegisterMap:
-    """Words in, words out."""
+    """Words in, words out.
+
+    `around`: what stands between them and the values.
+    """
 
     def __init__(
         self,
@@ -107,10 +110,11 @@ class RegisterMap:
         *,
         keeps: bool = False,
         habits: Habits = NONE,
+        around: Callable[[Mirror], Mirror] = lambda mirror: mirror,
     ) -> None:
         self.device = device
         self.layout = layout
-        self._mirror = mirror_of(device, habits, switchgear, keeps=keeps)
+        self._mirror = around(mirror_of(device, habits, switchgear, keeps=keeps))
         self._posts: dict[int, VirtualMailbox] = {}
         if layout.mailbox is not None:
             mailbox = VirtualMailbox(layout.mailbox, layout.posted, self._mirror)

@@ -36,6 +36,9 @@ class Switchgear:
             for step in (profile.store.steps if profile.store else ())
             if step.until is not None
         }
+        others = (*power.enable, *power.reset, *profile.stop, *profile.disable)
+        # it is as soon as it was told
+        self._at_once = {step.until: step.equals or 0 for step in others if step.until is not None}
         switched = {name for name, _ in self._enable} | {"torque_target"}
         before = _writes(profile.modes[Mode.TORQUE][0].before) if profile.moves else []
         self._torque = [write for write in before if write[0] not in switched]
@@ -89,7 +92,9 @@ class Switchgear:
             for condition, holds in conditions
             if condition is not None and condition.parameter == name
         ]
-        return _word(there, moves=firmware.velocity != 0) if there else None
+        if not there:
+            return self._at_once.get(name)
+        return _word(there, moves=firmware.velocity != 0)
 
     def _hold(self, writes: list[Write]) -> bool:
         """Whether each register has had its values last, in their order."""

@@ -7,14 +7,16 @@ profile from end to end.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 from drivers.virtual.axes import VirtualAxis
 from drivers.virtual.device import Device
 from drivers.virtual.dictionary import SIMULATION, Dictionary
+from drivers.virtual.firmware import Firmware
 from drivers.virtual.habits import NONE, Habits
 from drivers.virtual.habitual_slave import bent
-from drivers.virtual.mirror import Entry
+from drivers.virtual.mirror import Entry, Mirror
 from drivers.virtual.objects import (
     MODE_CYCLIC_POSITION,
     MODE_CYCLIC_TORQUE,
@@ -25,7 +27,7 @@ from drivers.virtual.registers import CLOCK, Layout, RegisterMap
 from drivers.virtual.switchgear import Switchgear
 from profiles.address import CanopenAddress, MailboxAddress, ModbusAddress
 from profiles.errors import UsageError
-from profiles.parameter import Parameter, Unit
+from profiles.parameter import Parameter, Protection, Unit
 from profiles.procedures import Mode
 from profiles.schema import Profile
 
@@ -58,6 +60,7 @@ _NAMES = {"mode_of_operation": "mode", "serial_number": "serial"}
 # CiA 402's, which only a habit makes
 _OPTIONAL = {0x6073, 0x607B, 0x607E, 0x6091, 0x6092, 0x6093, 0x60C2, 0x100C, 0x100D}
 _ELSEWHERE = {0x1010, 0x1016, 0x1018}  # communication objects, which the node itself has
+_SIMULATION = {"simulation_cycle", "simulation_advance"}
 _MARK = 0x7457
 _CLOCK = {
     CLOCK: Entry(("simulation_cycle",), "I"),
@@ -71,10 +74,10 @@ _STANDARD = {
 RATED_CURRENT = 2.0  # A, of every virtual motor
 
 
-def twin(profile: Profile, axis: VirtualAxis) -> Dictionary:
+def twin(profile: Profile, axis: VirtualAxis, *, complete: bool = False) -> Dictionary:
     """The object dictionary of the drive that `profile` is for, before `axis`.
 
-    Raises UsageError.
+    `complete` : with what not every drive has, saying nothing else than without. Raises UsageError.
     """
     if profile.bus != "canopen":
         raise UsageError(
@@ -88,10 +91,13 @@ def twin(profile: Profile, axis: VirtualAxis) -> Dictionary:
         assert isinstance(address, CanopenAddress)
         indices.add(address.index)
         keys = behind.get(name) or (_NAMES.get(name, name),)
-        is_left_out = address.index in _OPTIONAL and keys[0] not in _FIRMWARE
-        if address.index in _ELSEWHERE or is_left_out:
+        is_optional = address.index in _OPTIONAL and keys[0] not in _FIRMWARE
+        if address.index in _ELSEWHERE or (is_optional and not complete):
             continue
-        objects[address.index, address.sub] = _entry(name, keys, profile, axis)
+        entry = _entry(name, keys, profile, axis)
+        if is_optional:
+            entry = entry._replace(default=_neutral(address, axis))
+        objects[address.index, address.sub] = entry
     identity = tuple(_number(text) for text in (profile.identity.vendor, profile.identity.product))
     revision = profile.identity.revisions[0] if profile.identity.revisions else "0x00010000"
     return Dictionary(
@@ -102,8 +108,39 @@ def twin(profile: Profile, axis: VirtualAxis) -> Dictionary:
     )
 
 
-def modbus_twin(profile: Profile, device: Device, habits: Habits = NONE) -> RegisterMap:
-    """The registers of the drive that `profile` is for, in front of `device`; raises UsageError."""
+def _neutral(address: CanopenAddress, axis: VirtualAxis) -> int:
+    """What an object says that not every drive has, and that changes nothing."""
+    least, most = address.raw_range
+    values = {
+        (0x6092, 1): round(_TURN / axis.resolution), (0x607B, 1): least, (0x607B, 2): most,
+        (0x6073, 0): round(1000 * axis.peak / axis.rated), (0x607E, 0): 0,
+        (0x60C2, 2): -3, (0x100C, 0): 0, (0x100D, 0): 0,
+    }  # fmt: skip
+    return values.get((address.index, address.sub), 1)
+
+
+def within(profile: Profile, firmware: Firmware) -> None:
+    """The drive as delivered has no setting that its profile does not allow."""
+    for name, parameter in profile.parameters.items():
+        key = (_behind(profile).get(name) or (_NAMES.get(name, name),))[0]
+        if key not in _FIRMWARE or parameter.protection is not Protection.EXPERIMENT:
+            continue
+        unit, step = _FIRMWARE[key]
+        factor = parameter.scale * _size(parameter.unit, firmware.axis)
+        most = parameter.range[1] * factor / (step * _size(unit, firmware.axis))
+        firmware.values[key] = min(firmware.values[key], max(round(most), 0))
+
+
+def modbus_twin(
+    profile: Profile,
+    device: Device,
+    habits: Habits = NONE,
+    around: Callable[[Mirror], Mirror] = lambda mirror: mirror,
+) -> RegisterMap:
+    """The registers of the drive that `profile` is for, in front of `device`; raises UsageError.
+
+    `around` : what stands between the registers and their values
+    """
     if profile.bus != "modbus":
         raise UsageError(
             f"profile '{profile.name}' is for {profile.bus}: its twin has no registers"
@@ -135,10 +172,6 @@ def modbus_twin(profile: Profile, device: Device, habits: Habits = NONE) -> Regi
         registers.setdefault(at.register_, entry)
         if at.word_order == "low-first":
             low_first.add(at.register_)
-    functions = {3, 6, 16} | {at.write_function for at in plain}
-    functions |= {at.read_function for at in plain}
-    functions |= {23} if profile.cycle.function == "fc23" else set()
-    functions |= {43} if profile.identity.asked else set()
     who = profile.identity
     name = f"twin of {profile.name}"
     layout = Layout(
@@ -147,7 +180,7 @@ def modbus_twin(profile: Profile, device: Device, habits: Habits = NONE) -> Regi
         bits,
         frozenset(low_first),
         _between(profile),
-        frozenset(functions),
+        _functions(profile, plain),
         (
             who.vendor or "tworelay",
             who.product or name,
@@ -158,7 +191,17 @@ def modbus_twin(profile: Profile, device: Device, habits: Habits = NONE) -> Regi
         posted,
     )
     keeps = profile.store is not None and not profile.store.steps
-    return RegisterMap(device, bent(layout, habits), switchgear, keeps=keeps, habits=habits)
+    return RegisterMap(
+        device, bent(layout, habits), switchgear, keeps=keeps, habits=habits, around=around
+    )
+
+
+def _functions(profile: Profile, addresses: list[ModbusAddress]) -> frozenset[int]:
+    """Modbus functions that the drive knows."""
+    found = {3, 6, 16} | {at.write_function for at in addresses}
+    found |= {at.read_function for at in addresses}
+    found |= {23} if profile.cycle.function == "fc23" else set()
+    return frozenset(found | ({43} if profile.identity.asked else set()))
 
 
 def _modbus(parameter: Parameter) -> ModbusAddress:
@@ -186,6 +229,9 @@ def _behind(profile: Profile) -> dict[str, tuple[str, ...]]:
     }
     if profile.watchdog.parameter is not None:
         found[profile.watchdog.parameter] = ("watchdog_time",)
+    stored = [step.write for step in (profile.store.steps if profile.store else ()) if step.write]
+    if stored:  # by procedure the switchgear does it
+        found[stored[-1]] = ("store_command",) if profile.power is None else ("",)
     return found | _compensation(profile)
 
 
@@ -214,14 +260,16 @@ def _entry(
     parameter = profile.parameters[name]
     access = str(parameter.access)
     code = _CODES[parameter.address.type]
-    if name == "supported_modes":
-        return Entry((), code, "ro", name=name, default=sum(1 << (mode - 1) for mode in MODES))
-    if name == "rated_current":
-        return Entry((), code, "ro", name=name, default=round(RATED_CURRENT / parameter.scale))
-    if name in profile.own_estimates.values():
-        return Entry((), code, "ro", name=name, default=axis.coulomb / parameter.scale)
-    if name == profile.conditions.get("motor_temperature"):
-        return Entry((), code, "ro", name=name, default=round(axis.temperature / parameter.scale))
+    fixed = {
+        "supported_modes": _supported(profile),
+        "rated_current": round(RATED_CURRENT / parameter.scale),
+        profile.own_estimates.get("coulomb"): axis.coulomb / parameter.scale,
+        profile.conditions.get("motor_temperature"): round(axis.temperature / parameter.scale),
+    }
+    if name in fixed:
+        return Entry((), code, "ro", name=name, default=fixed[name])
+    if name in _SIMULATION:
+        return Entry((name,), code, access, name=name)
     known = [key for key in keys if key in _FIRMWARE]
     if not known:
         return Entry((), code, access, name=name, default=_delivered(name, profile, axis))
@@ -256,8 +304,16 @@ def _delivered(name: str, profile: Profile, axis: VirtualAxis) -> int:
     return next((raw for raw in free if raw not in taken), 0)
 
 
+def _supported(profile: Profile) -> int:
+    """Supported modes as 6502h has them, and those that the profile knows by bits of its own."""
+    bits = {code.supported_bit for codes in profile.modes.values() for code in codes} - {None}
+    return sum(1 << bit for bit in bits | {mode - 1 for mode in MODES} if bit is not None)
+
+
 def _codes(key: str, profile: Profile) -> tuple[tuple[int, int], ...]:
-    """The modes as the profile counts them, where it is not as CiA 402 does."""
+    """Modes as the profile counts them, where it is not as CiA 402 does; its word for a store."""
+    if key == "store_command" and profile.store is not None:
+        return tuple((step.raw, 1) for step in profile.store.steps if step.raw is not None)
     if key not in ("mode", "mode_display"):
         return ()
     return tuple(

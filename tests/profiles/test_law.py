@@ -9,6 +9,7 @@ import pytest
 from profiles.law import Amount, Compensation, CompensationLaw, TablePoint
 
 AMOUNT = Amount(coulomb=0.8, offset=0.1, viscous=0.02, share="80 %", motor_speed=0.5)
+law_of = {str(law): law for law in CompensationLaw}.__getitem__
 LAWS: dict[CompensationLaw, dict[str, object]] = {
     CompensationLaw.NONE: {},
     CompensationLaw.HOST: {"host": "h"},
@@ -94,9 +95,7 @@ def test_terms_that_are_not_the_laws_say_which_law_they_are(
     law: str, terms: str, said: str
 ) -> None:
     with pytest.raises(ValueError, match=re.escape(said)):
-        Compensation.model_validate(
-            {"law": CompensationLaw(law)} | dict.fromkeys(terms.split(), "x")
-        )
+        Compensation.model_validate({"law": law_of(law)} | dict.fromkeys(terms.split(), "x"))
 
 
 def test_the_negative_direction_may_be_stored_with_its_sign() -> None:

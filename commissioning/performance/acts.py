@@ -34,7 +34,7 @@ from commissioning.session.storing import store
 from commissioning.settings import Settings, put_back
 from drivers.twinned import Twinned, open_twin, virtual_axis
 from drivers.virtual.habits import NONE, Habits
-from drivers.virtual.witness import Spoken
+from drivers.virtual.witness import Utterance
 from profiles.axis import Axis
 from profiles.errors import ProfileError, TwoRelayError
 from profiles.parameter import Access, Protection, Trust, Unit
@@ -69,7 +69,7 @@ class Account:
     """
 
     profile: Profile
-    said: dict[str, list[Spoken]] = field(default_factory=dict)
+    said: dict[str, list[Utterance]] = field(default_factory=dict)
     trouble: dict[str, TwoRelayError] = field(default_factory=dict)
     told: dict[str, object] = field(default_factory=dict)
     functions: dict[str, set[int]] = field(default_factory=dict)

@@ -19,13 +19,13 @@ from drivers.virtual.habitual_node import HabitualNode
 from drivers.virtual.mirror import Entry, Mirror
 from drivers.virtual.states import DenialReason, Denied
 
-__all__ = ["Spoken", "Witness", "WitnessedNode"]
+__all__ = ["Utterance", "Witness", "WitnessedNode"]
 
 
 _OF_THE_DRIVE = 0x2000  # from here on; before, of its communication (CiA 301, 7.4.1)
 
 
-class Spoken(NamedTuple):
+class Utterance(NamedTuple):
     """One access, as the drive understood it.
 
     Attributes
@@ -53,7 +53,7 @@ class Witness:
     functions : Modbus functions that were asked for
     """
 
-    said: list[Spoken] = field(default_factory=list)
+    said: list[Utterance] = field(default_factory=list)
     forced: dict[str, int] = field(default_factory=dict)
     deaf: set[tuple[str, int]] = field(default_factory=set)
     busy: set[str] = field(default_factory=set)
@@ -62,7 +62,7 @@ class Witness:
 
     def note(self, act: Literal["read", "write"], name: str, raw: float) -> None:
         """One more."""
-        self.said.append(Spoken(act, name, raw, self.now()))
+        self.said.append(Utterance(act, name, raw, self.now()))
 
     def around(self, mirror: Mirror) -> Mirror:
         """The values of a drive, listened to."""

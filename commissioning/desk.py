@@ -107,7 +107,7 @@ def begin_run(desk: Desk, drive: Drive, identity: Identity, axis: Axis, fraction
         profile=profile.name,
         profile_hash=digest(profile),
         serial=identity.serial,
-        context=RunContext(axis.model_dump_json(), fraction, **this_process()),
+        context=RunContext(axis.as_said(), fraction, **this_process()),
     )
     announce(f"run {run}")
     return run

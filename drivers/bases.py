@@ -22,7 +22,8 @@ _COUNTED_IN_RATED = {
 }  # fmt: skip
 _COUNTED_IN_INCREMENTS = {Unit.INCREMENT, Unit.INCREMENT_PER_SECOND}
 _POSITION_TURNED, _VELOCITY_TURNED = 0x80, 0x40  # of 607Eh, polarity (CiA 402-2, 10.3.20)
-_ENCODER = 0x608F
+_ENCODER, _RATED_TORQUE = 0x608F, 0x6076
+_FACTORS = frozenset({"feed_units", "gear_motor_revolutions", "position_factor"})
 _FEWEST = 200  # position units a revolution: fewer are a default that nobody has set
 _LARGEST_PERIOD = 255  # 8 bits
 _RATIO_TOLERANCE = 1e-6  # of two ratios that are one
@@ -98,6 +99,14 @@ def _rated_torque(profile: Profile, read: Read) -> float:
             hint="give rated_torque (N.m of the motor) in the axis file",
         )
     rated = told * base.scale
+    is_standard = isinstance(base.address, CanopenAddress) and base.address.index == _RATED_TORQUE
+    if is_standard and told == 1:
+        raise PreflightRefused(
+            f"the drive's rated torque (6076h) reads 1, that is {rated:g} N.m, as drives do whose "
+            "motor is not set up: its torque scale is unknown",
+            code="scale.torque",
+            hint="set up the motor data in the drive, or give rated_torque in the axis file",
+        )
     if rated <= 0:
         raise PreflightRefused(
             f"the drive's rated torque ({base.address}) is {rated:g} N.m, so its torque scale is "
@@ -125,7 +134,8 @@ def _encoder(profile: Profile, read: Read) -> float:
         encoder = _positive(
             increments, 1 if revolutions is None else revolutions, "encoder resolution"
         )
-    if isinstance(address, CanopenAddress) and address.index == _ENCODER:
+    is_standard = isinstance(address, CanopenAddress) and address.index == _ENCODER
+    if is_standard or _FACTORS & known.keys():
         return _by_factors(encoder, read)
     if encoder is None:
         raise PreflightRefused(
@@ -139,9 +149,9 @@ def _encoder(profile: Profile, read: Read) -> float:
 
 def _by_factors(encoder: float | None, read: Read) -> float:
     """Position units a motor revolution, by the factor group of CiA 402-2; `encoder`: by 608Fh."""
-    feed = _ratio(read, "feed_units", "feed_revolutions", "feed constant (6092h)")
-    gear = _ratio(read, "gear_motor_revolutions", "gear_shaft_revolutions", "gear ratio (6091h)")
-    factor = _ratio(read, "position_factor", "position_divisor", "position factor (6093h)")
+    feed = _ratio(read, "feed_units", "feed_revolutions", "feed constant")
+    gear = _ratio(read, "gear_motor_revolutions", "gear_shaft_revolutions", "gear ratio")
+    factor = _ratio(read, "position_factor", "position_divisor", "position factor")
     found = encoder
     if feed is not None:
         found = feed / (gear or 1.0)

@@ -111,6 +111,9 @@ class Bus(Protocol):
     def answering_within(self, seconds: float) -> AbstractContextManager[None]:
         """Requests meanwhile may take so long to be answered, if that is more than usual."""
 
+    def own_address(self) -> str:
+        """IP address by which the drive knows this computer, or ''."""
+
     def other_master(self) -> str:
         """What another master sent on the same bus, or ''."""
 

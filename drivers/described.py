@@ -24,6 +24,7 @@ class Described:
     unit, raw_unit : of a value, ASCII; of one raw step, for people
     step : SI value of one raw step; negative where the drive counts against its motor
     doubtful_base : address of what it is scaled by, where nobody has verified that; ''
+    lacks_gear : it counts at the output of the gear, whose ratio nobody has said
     """
 
     name: str
@@ -33,6 +34,7 @@ class Described:
     raw_unit: str
     step: float
     doubtful_base: str = ""
+    lacks_gear: bool = False
 
     @property
     def address(self) -> str:
@@ -112,6 +114,7 @@ def described(profile: Profile, scaling: Scaling, *, constant_known: bool) -> Pa
         name: Described(
             name, profile.name, one, scaling.unit_text(one), scaling.raw_unit(one),
             scaling.step(one), base if one.unit is Unit.CURRENT else "",
+            one.side == "output" and "gear" not in scaling.mechanics.model_fields_set,
         )
         for name, one in profile.parameters.items()
     }  # fmt: skip

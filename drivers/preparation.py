@@ -17,6 +17,9 @@ from profiles.procedures import Mode
 
 __all__ = ["Preparation"]
 
+_WORD_BITS = 16
+_WORD = 1 << _WORD_BITS
+
 
 class Preparation:
     """What a job needs of one drive; every dict is of raw values by parameter name.
@@ -38,6 +41,7 @@ class Preparation:
 
     def check_requirements(self) -> None:
         """Read what the profile requires of the drive; raises PreflightRefused."""
+        self._check_word_order()
         for condition in self._profile.requires:
             there = self._access.read(condition.parameter)
             if not condition.holds(there):
@@ -48,6 +52,24 @@ class Preparation:
                     code="preflight.requires",
                 )
         self._check_enabling_value()
+
+    def _check_word_order(self) -> None:
+        """Refuse a drive that swaps the words of its values for this computer."""
+        names = self._profile.link.swapped_for
+        own = self._access.bus.own_address() if names else ""
+        if not own:
+            return
+        # it may have swapped these already
+        told = [there if there < _WORD else there >> _WORD_BITS for there in
+                (self._access.read(name) for name in names)]  # fmt: skip
+        if ".".join(map(str, told)) == own:
+            at = self._access.parameter(names[0]).address
+            raise PreflightRefused(
+                f"the drive swaps the words of its values for the master at {own}, which is this "
+                f"computer ({at} and the next ones)",
+                code="preflight.word-order",
+                hint="set another address there, or speak from another one",
+            )
 
     def _check_enabling_value(self) -> None:
         """Refuse a drive whose enabling register holds the enabling value: it would be put back."""

@@ -6,7 +6,7 @@ and feed. SI at the axis is rad or m, N.m or N, and their derivatives.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 
 from profiles.address import Address
@@ -40,7 +40,10 @@ class Scaling:
 
         Negative where the drive counts against its motor.
         """
-        step = parameter.scale * self.step_of(parameter.unit)
+        of = self
+        if parameter.side == "output":
+            of = replace(self, mechanics=self.mechanics.model_copy(update={"gear": 1.0}))
+        step = parameter.scale * of.step_of(parameter.unit)
         return -step if parameter.address in self.turned else step
 
     def unit_text(self, parameter: Parameter) -> str:

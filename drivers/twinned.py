@@ -17,7 +17,7 @@ from drivers.virtual.can_channel import LocalCan
 from drivers.virtual.device import Device
 from drivers.virtual.firmware import SECOND, Firmware
 from drivers.virtual.habits import NONE, Habits
-from drivers.virtual.twin import modbus_twin, twin, within
+from drivers.virtual.twin import habits_of_twin, modbus_twin, twin, within
 from drivers.virtual.witness import Witness, WitnessedNode
 from profiles.address import CanopenAddress
 from profiles.axis import Axis
@@ -105,6 +105,7 @@ def _on_canopen(
     node = profile.link.node or _FIRST
     dictionary = twin(profile, device.firmware.axis, complete=True)
     within(profile, device.firmware)
+    habits = habits_of_twin(profile, habits)
     adapter = LocalCan(WitnessedNode(device, node, dictionary, habits, witness, names))
     wire = CanWire(adapter, node, _TIMEOUT)
     agreed(identify(wire, profile.link.patience), "canopen", profile)

@@ -16,6 +16,10 @@ _CHECK = (
     "check the drive's manual, mark it verified in a copy of the profile (tworelay profile show), "
     "and identify with that"
 )
+_GEAR = (
+    "give gear (motor revolutions per revolution of its output; 1 where there is none) in "
+    "[mechanics] of the axis file, then measure or analyze again"
+)
 _BASE = "give torque_constant (N.m/A of the motor) in the axis file"
 
 
@@ -74,6 +78,12 @@ def reasons_not_written(
                 f"{at} is a current, and the rated current ({what.doubtful_base}) is unverified "
                 f"{by}",
                 _BASE,
+            )
+        if what.lacks_gear:
+            yield WhyNot(
+                "write.gear",
+                f"{at} counts at the output of the gear {by}, and its ratio is not said",
+                _GEAR,
             )
     low, high = says.range
     if raw is not None and not says.allows(raw):

@@ -116,6 +116,10 @@ class Axis(Strict):
         """ASCII unit of position."""
         return "rad" if self.mechanics.motion == "rotary" else "m"
 
+    def as_said(self) -> str:
+        """JSON of what was said of it; what was not stays unsaid."""
+        return self.model_dump_json(exclude_unset=True)
+
     @property
     def effort_unit(self) -> str:
         """ASCII unit of torque or force."""

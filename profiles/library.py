@@ -112,11 +112,13 @@ def _extended(tree: dict[str, Any], origin: str) -> dict[str, Any]:
     if not isinstance(without, list) or not all(isinstance(name, str) for name in without):
         raise ProfileError(f"{origin}: without: must be a list of names")
     for name in without:
-        tables = [table for table in (below, below.get("parameters", {})) if name in table]
+        section, _, key = name.rpartition(".")  # as modes.position
+        places = (below.get(section, {}),) if section else (below, below.get("parameters", {}))
+        tables = [table for table in places if isinstance(table, dict) and key in table]
         if not tables:
             raise ProfileError(f"{origin}: without '{name}', which '{base}' does not have")
         for table in tables:
-            del table[name]
+            del table[key]
     law = tree.get("compensation")
     if isinstance(law, dict) and "law" in law:  # it replaces the other one whole
         below.pop("compensation", None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from enum import StrEnum
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Tag, model_validator
 
@@ -95,6 +95,7 @@ class Parameter(Strict):
     protection: Protection = Protection.READ
     trust: Trust = Trust.UNVERIFIED
     nonvolatile: bool = False
+    side: Literal["motor", "output"] = "motor"  # of the gear, where a speed or a torque is meant
     source: str = ""
 
     @model_validator(mode="after")

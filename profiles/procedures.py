@@ -41,6 +41,8 @@ class LinkDefaults(Strict):
     cycle: Annotated[float, Field(gt=0)] = 0.005  # s
     service_timeout: Annotated[float, Field(gt=0)] = 0.5  # s, one request outside motion
     patience: Annotated[float, Field(ge=0)] = 5.0  # s, for a drive that says it is busy
+    # parameters with the four numbers of the IP address for which it swaps the words of a value
+    swapped_for: tuple[str, ...] = ()
     longest_answer: Annotated[float, Field(gt=0)] = 0.1  # s; later, none comes on a serial line
 
 

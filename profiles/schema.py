@@ -104,6 +104,8 @@ class Profile(Strict):
             wanted |= {"controlword", "statusword", "mode_of_operation"}
             if any(code.code is None for codes in self.modes.values() for code in codes):
                 raise ValueError("[modes] lacks a code: a CiA 402 drive is told its mode")
+        if len(self.link.swapped_for) not in (0, 4):
+            raise ValueError("[link] swapped_for names the four numbers of an IP address")
         for kind in ("torque", "speed"):
             if f"{kind}_negative" in self.limits and kind not in self.limits:
                 raise ValueError(f"[limits] has {kind}_negative, and no {kind} of the other way")
@@ -202,6 +204,7 @@ class Profile(Strict):
         found += [("compensation", name) for name in self.compensation.terms.values()]
         found += [("compensation", self.compensation.host)] if self.compensation.host else []
         found += [("limits", name) for name in self.limits.values()]
+        found += [("link", name) for name in self.link.swapped_for]
         found += [("own_estimates", name) for name in self.own_estimates.values()]
         found += [("conditions", name) for name in self.conditions.values()]
         if self.loops is not None:

@@ -35,7 +35,7 @@ from commissioning.settings import Settings, put_back
 from drivers.twinned import Twinned, open_twin, virtual_axis
 from drivers.virtual.habits import NONE, Habits
 from drivers.virtual.witness import Utterance
-from profiles.axis import Axis
+from profiles.axis import Axis, Mechanics
 from profiles.errors import ProfileError, TwoRelayError
 from profiles.parameter import Access, Protection, Trust, Unit
 from profiles.procedures import Condition, Mode, ModeCode
@@ -95,6 +95,7 @@ def tried_axis(profile: Profile) -> Axis:
         travel=axis.travel,
         rated_torque=None if "rated_torque" in known else axis.rated,
         encoder=None if "encoder_increments" in known else axis.encoder,
+        mechanics=Mechanics(gear=1.0),
         torque_constant=axis.rated / 2 if current and "rated_current" not in known else None,
     )
 

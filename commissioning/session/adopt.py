@@ -122,9 +122,7 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
         record.axis,
         "it was not taken in",
     )
-    context = replace(
-        record.context, axis=axis.model_copy(update={"name": called}).model_dump_json()
-    )
+    context = replace(record.context, axis=axis.model_copy(update={"name": called}).as_said())
     result = replace(result, run=here, axis=called, written=())
     target.save(result, samples, source_text(name))
     taken = replace(record, id=here, axis=called, context=context)
@@ -178,7 +176,7 @@ def _call(old: str, new: str, host: str, desk: Desk) -> None:
     contexts = {}
     for record in desk.journal.runs_of_host(old, host):
         axis = Axis.model_validate_json(record.context.axis).model_copy(update={"name": new})
-        contexts[record.id] = replace(record.context, axis=axis.model_dump_json())
+        contexts[record.id] = replace(record.context, axis=axis.as_said())
         folder = RunFolder.of(desk.journal, record.id)
         with contextlib.suppress(UsageError):  # its files are gone
             folder.save(replace(folder.result(), axis=new))

@@ -463,6 +463,10 @@ class CanopenBus:
         """Time of the cycle's clock, s."""
         return self._pace.now()
 
+    def own_address(self) -> str:
+        """There is none here."""
+        return ""
+
     def other_master(self) -> str:
         """COB-ID of a frame that only another master would send."""
         self._wire.drain()

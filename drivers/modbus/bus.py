@@ -311,6 +311,10 @@ class ModbusBus:
         """Time of the cycle's clock, s."""
         return self._pace.now()
 
+    def own_address(self) -> str:
+        """IP address by which the drive knows this computer, or ''."""
+        return self._client.own_address
+
     def other_master(self) -> str:
         """Modbus shows no other client."""
         return ""

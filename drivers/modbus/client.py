@@ -110,6 +110,12 @@ class Client:
         self._readable: tuple[int, int] | None = None
 
     @property
+    def own_address(self) -> str:
+        """Address of this computer on the connection; '' on a line."""
+        name = getattr(self._client.socket, "getsockname", None)
+        return str(name()[0]) if name is not None else ""
+
+    @property
     def owes(self) -> bool:
         """Whether an answer may still come late."""
         return self._owed > 0

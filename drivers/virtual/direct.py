@@ -175,6 +175,10 @@ class DirectBus:
         """Time of the cycle's clock, s."""
         return self._firmware.now / SECOND
 
+    def own_address(self) -> str:
+        """There is none here."""
+        return ""
+
     def other_master(self) -> str:
         """There is only this process."""
         return ""

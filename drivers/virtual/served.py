@@ -201,9 +201,12 @@ def _node(one: ServedDrive, device: Device, habits: Habits) -> CanopenNode:
     from drivers.virtual.canopen_node import CanopenNode
     from drivers.virtual.dictionary import OWN
     from drivers.virtual.habitual_node import HabitualNode
-    from drivers.virtual.twin import twin
+    from drivers.virtual.twin import habits_of_twin, twin
 
-    dictionary = OWN if one.twin_of is None else twin(one.twin_of, one.axis)
+    dictionary = OWN
+    if one.twin_of is not None:
+        dictionary = twin(one.twin_of, one.axis)
+        habits = habits_of_twin(one.twin_of, habits)
     if habits.values:
         return HabitualNode(device, one.node, dictionary, habits.for_bus("canopen"))
     return CanopenNode(device, one.node, dictionary)

@@ -43,8 +43,6 @@ class Switchgear:
         before = _writes(profile.modes[Mode.TORQUE][0].before) if profile.moves else []
         self._torque = [write for write in before if write[0] not in switched]
         self._is_told_its_mode = "mode_of_operation" in profile.parameters
-        if profile.watchdog.kind == "none":
-            device.firmware.values["watchdog_time"] = 0
 
     def written(self, name: str, raw: int) -> None:
         """An object was written; raises Denied."""

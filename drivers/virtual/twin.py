@@ -31,7 +31,7 @@ from profiles.parameter import Parameter, Protection, Unit
 from profiles.procedures import Mode
 from profiles.schema import Profile
 
-__all__ = ["modbus_twin", "twin"]
+__all__ = ["habits_of_twin", "modbus_twin", "twin", "within"]
 
 _TURN = 6.283185307179586  # rad
 _CODES = {
@@ -59,6 +59,10 @@ _FIRMWARE: dict[str, tuple[Unit, float]] = {
 _NAMES = {"mode_of_operation": "mode", "serial_number": "serial"}
 # CiA 402's, which only a habit makes
 _OPTIONAL = {0x6073, 0x607B, 0x607E, 0x6091, 0x6092, 0x6093, 0x60C2, 0x100C, 0x100D}
+_RATIOS = (  # what a drive counts in is as without them
+    "feed_revolutions", "gear_motor_revolutions", "gear_shaft_revolutions", "position_factor",
+    "position_divisor",
+)  # fmt: skip
 _ELSEWHERE = {0x1010, 0x1016, 0x1018}  # communication objects, which the node itself has
 _SIMULATION = {"simulation_cycle", "simulation_advance"}
 _MARK = 0x7457
@@ -119,6 +123,12 @@ def _neutral(address: CanopenAddress, axis: VirtualAxis) -> int:
     return values.get((address.index, address.sub), 1)
 
 
+def habits_of_twin(profile: Profile, habits: Habits) -> Habits:
+    """What the drive of a profile does beside what its objects say."""
+    guards = {"guarding": ""} if profile.watchdog.kind == "guarding" else {}
+    return Habits(guards | habits.values)
+
+
 def within(profile: Profile, firmware: Firmware) -> None:
     """The drive as delivered has no setting that its profile does not allow."""
     for name, parameter in profile.parameters.items():
@@ -146,6 +156,8 @@ def modbus_twin(
             f"profile '{profile.name}' is for {profile.bus}: its twin has no registers"
         )
     axis = device.firmware.axis
+    if profile.watchdog.kind == "none":
+        device.firmware.values["watchdog_time"] = 0
     switchgear = None
     if profile.power is not None:
         switchgear = Switchgear(device, profile, profile.power)
@@ -260,10 +272,12 @@ def _entry(
     parameter = profile.parameters[name]
     access = str(parameter.access)
     code = _CODES[parameter.address.type]
-    fixed = {
+    fixed: dict[str | None, float] = {
         "supported_modes": _supported(profile),
         "rated_current": round(RATED_CURRENT / parameter.scale),
-        profile.own_estimates.get("coulomb"): axis.coulomb / parameter.scale,
+        "feed_units": round(_TURN / axis.resolution),
+        **dict.fromkeys(_RATIOS, 1),
+        profile.own_estimates.get("coulomb"): _shown(axis.coulomb, parameter, axis),
         profile.conditions.get("motor_temperature"): round(axis.temperature / parameter.scale),
     }
     if name in fixed:
@@ -302,6 +316,12 @@ def _delivered(name: str, profile: Profile, axis: VirtualAxis) -> int:
     taken = enabling or written  # a register that enables rests at 0
     free = (raw for raw in range(len(taken) + 1) if parameter.allows(raw))
     return next((raw for raw in free if raw not in taken), 0)
+
+
+def _shown(value: float, parameter: Parameter, axis: VirtualAxis) -> float:
+    """A value of the motor, SI, as a parameter counts it."""
+    raw = value / (parameter.scale * _size(parameter.unit, axis))
+    return raw if parameter.is_float else round(raw)
 
 
 def _supported(profile: Profile) -> int:

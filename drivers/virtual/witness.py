@@ -122,7 +122,7 @@ class WitnessedNode(HabitualNode):
 
     def _read(self, index: int, sub: int) -> bytes:
         data = super()._read(index, sub)
-        if (index, sub) not in self._dictionary.objects:
+        if index < _OF_THE_DRIVE or (index, sub) not in self._dictionary.objects:
             self._note("read", index, sub, data)
         return data
 

@@ -22,12 +22,16 @@ from tests.conftest import Serve, Tworelay
 REAL = [name for name in builtin_names() if load_profile(name).status != "virtual"]
 PROFILES = [name for name in REAL if load_profile(name).moves]
 RUN_SCHEMA = json.loads((ROOT / "docs/run.schema.json").read_text())
+GEAR = 4.0
 SLOW = 0.02  # kg.m2: an axis that cycles of 10 to 50 ms can follow
 
 
 def served(serve: Serve, profile: str, *options: str) -> str:
-    wire = "--socketcand" if load_profile(profile).bus == "canopen" else "--modbus-rtu-tcp"
-    twin = ("--profile", profile, wire, "127.0.0.1:0", "--clock", "step")
+    loaded = load_profile(profile)
+    wire = ["--socketcand" if loaded.bus == "canopen" else "--modbus-rtu-tcp", "127.0.0.1:0"]
+    if loaded.watchdog.kind == "guarding":  # of whose remote frames socketcand has none
+        wire = ["--slcan", "pty"]
+    twin = ("--profile", profile, *wire, "--clock", "step")
     return serve("bench", *twin, *options)[0]
 
 
@@ -38,6 +42,7 @@ def axis_file(tmp_path: Path, link: str, profile: str) -> str:
     text = f'link = "{link}"\nprofile = "{profile}"\ntravel = 30.0\n'
     text += "" if "rated_torque" in known else "rated_torque = 1.0\n"
     text += "" if "encoder_increments" in known else "encoder = 131072\n"
+    text += "torque_constant = 0.5\n" if profile == "kollmorgen-s300" else ""
     path.write_text(f"{text}[limits]\nspeed = 200.0\n")
     return str(path)
 
@@ -84,16 +89,28 @@ def test_a_drive_without_a_torque_command_gets_what_a_recording_shows(
     assert done.returncode == 0, done.stderr
     assert "own estimate of the Coulomb friction (kinetic_friction) is 0.1 N.m" in done.stdout
     jsonschema.validate(json.loads((tmp_path / "j").read_text()), RUN_SCHEMA)
+    done = tworelay("apply", "last", "--yes")  # the table counts at the output of the gear
+    assert done.returncode == 3
+    assert "its ratio is not said" in done.stderr
+    assert "give gear (motor revolutions per revolution of its output" in done.stderr
+    axis = tmp_path / "axis.toml"
+    axis.write_text(f'link = "{link}"\nprofile = "festo-cmmt"\n[mechanics]\ngear = {GEAR}\n')
+    done = tworelay("analyze", str(recording), "--for", str(axis))
+    assert done.returncode == 0, done.stderr
     done = tworelay("apply", "last", "--yes")
     assert done.returncode == 0, done.stderr
-    assert "units of the friction table are taken for N.m" in done.stdout
-    drive = open_drive(Axis(link=link, profile="festo-cmmt"))
-    # 85 % of 0.1 N.m, and of 0.002 N.m.s/rad, at 0.5 and 300 rad/s
+    assert "N.m and rad/s at the output of the gear" in done.stdout
+    drive = open_drive(load_axis(axis))
+    raw = {name: drive.parameters[name].parameter.number(drive.read(name).raw)
+           for name in drive.profile.compensation.terms.values()}  # fmt: skip
+    # the recording is of the axis, behind the gear: 85 % of 0.1 N.m and of 0.002 N.m.s/rad at the
+    # output's 0.5/4 and 300/4 rad/s
     for name, value in (
-        ("friction_velocity_1", 0.5), ("friction_torque_1", 0.0859), ("friction_velocity_2", 300.0),
-        ("friction_torque_2", 0.085 + 0.0017 * 300), ("friction_points", 2), ("constant_torque", 0),
+        ("friction_velocity_1", 0.5 / GEAR), ("friction_velocity_2", 300 / GEAR),
+        ("friction_torque_1", 0.085 + 0.0017 * 0.5 / GEAR),
+        ("friction_torque_2", 0.085 + 0.0017 * 300 / GEAR), ("friction_points", 2),
     ):  # fmt: skip
-        assert drive.read(name).si == pytest.approx(value, rel=0.03, abs=2e-3)
+        assert raw[name] == pytest.approx(value, rel=0.03, abs=2e-3)
     drive.close()
     assert tworelay("restore", "--yes").returncode == 0
     drive = open_drive(Axis(link=link, profile="festo-cmmt"))
@@ -151,7 +168,10 @@ def test_the_ax2000_gets_a_current_and_is_told_what_else_it_needs(
     serve: Serve, tworelay: Tworelay, tmp_path: Path
 ) -> None:
     link = served(serve, "beckhoff-ax2000")
-    options = ("--profile", "beckhoff-ax2000", "--travel", "3", "--yes")
+    options = (
+        "--profile", "beckhoff-ax2000", "--travel", "3", "--yes", "--without-watchdog",
+        "--max-speed", "100",
+    )  # fmt: skip
     assert tworelay("identify", link, *options).returncode == 0
     done = tworelay("apply", "last", "--yes")  # its rated current is from memory
     assert done.returncode == 3
@@ -160,7 +180,7 @@ def test_the_ax2000_gets_a_current_and_is_told_what_else_it_needs(
     path.write_text(
         f'link = "{link}"\nprofile = "beckhoff-ax2000"\ntravel = 3.0\ntorque_constant = 0.5\n'
     )
-    assert tworelay("identify", str(path), "--yes").returncode == 0
+    assert tworelay("identify", str(path), *options[4:]).returncode == 0
     done = tworelay("apply", "last", "--yes")
     assert done.returncode == 0, done.stderr
     assert "takes effect after a save and a reset" in done.stdout
@@ -172,7 +192,7 @@ def test_the_ax2000_gets_a_current_and_is_told_what_else_it_needs(
     exported = tmp_path / "exported"
     assert tworelay("export", "last", str(exported)).returncode == 0
     changes = canopen.import_od(str(exported / "changes.dcf"))  # by another reader than ours
-    assert changes[0x36A4].value == 170
+    assert changes[0x36A4][1].value == 170  # behind sub-index 0 is the number of entries
     assert tworelay("restore", "--yes").returncode == 0
     again = tmp_path / "again"
     assert tworelay("export", "last", str(again)).returncode == 0
@@ -210,7 +230,7 @@ def test_other_masters_are_locked_out_of_a_lexium_while_it_is_written(
 ) -> None:
     link = served(serve, "lexium-32-modbus", "--set", f"inertia={SLOW}")
     axis = axis_file(tmp_path, link, "lexium-32-modbus")
-    assert tworelay("identify", axis, "--yes").returncode == 0
+    assert tworelay("identify", axis, "--yes", "--without-watchdog").returncode == 0
     intents = intents_of_last_run()
     assert intents[0].parameter == "access_lock"  # first, and put back last
     assert {i.state for i in intents} == {"restored"}
@@ -219,13 +239,15 @@ def test_other_masters_are_locked_out_of_a_lexium_while_it_is_written(
     drive.close()
 
 
-def test_an_unverified_address_is_not_written(serve: Serve, tworelay: Tworelay) -> None:
-    link = served(serve, "kollmorgen-akd")
-    options = ("--profile", "kollmorgen-akd", "--travel", "3", "--yes")
-    assert tworelay("identify", link, *options).returncode == 0
+def test_an_unverified_address_is_not_written(
+    serve: Serve, tworelay: Tworelay, tmp_path: Path
+) -> None:
+    link = served(serve, "delta-asda", "--set", f"inertia={SLOW}")
+    axis = axis_file(tmp_path, link, "delta-asda")
+    assert tworelay("identify", axis, "--yes", "--without-watchdog").returncode == 0
     done = tworelay("apply", "last", "--yes")
     assert done.returncode == 3
-    assert "'friction' (3422h:00) is unverified" in done.stderr
+    assert "'friction' (register 017Ch) is unverified" in done.stderr
     assert "nothing was written" in done.stderr
     assert tworelay("restore", "--yes").stdout.strip() == "nothing to restore"
 

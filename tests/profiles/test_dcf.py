@@ -32,6 +32,6 @@ def test_our_own_reader_mends_nothing_in_it() -> None:
     text = dcf(load_profile("beckhoff-ax2000"), {"friction_current": 170}, None)
     eds = parse_eds(text.encode(), "changes.dcf")
     assert eds.mended == ()
-    entry = eds.entry(0x36A4, 0)
+    entry = eds.entry(0x36A4, 1)
     assert entry is not None
     assert entry.type == "i32"

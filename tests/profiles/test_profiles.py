@@ -181,7 +181,7 @@ DSY = (ROOT / "profiles" / "builtin" / "dsy-rs.toml").read_text("utf-8")
             '"position_target"]',
             "out lacks 'torque_target'",
         ),
-        (DSY, "mask = 0x00FF, equals = 2", "mask = 0x0001, equals = 2", "can never read so"),
+        (DSY, "mask = 0x000F, equals = 1", "mask = 0x0008, equals = 1", "can never read so"),
         (DSY, 'out = ["torque_target"]', "out = []", "out lacks 'torque_target'"),
     ],
 )

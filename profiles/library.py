@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from profiles.axis import Axis
     from profiles.draft import Draft
     from profiles.eds import Eds
-    from profiles.table import Row
+    from profiles.table_rows import Row
 
 __all__ = [
     "builtin_names",
@@ -285,7 +285,7 @@ def _drafted(eds: Eds, origin: str) -> Draft:
 
 def draft_from_csv(path: Path) -> Draft:
     """A profile of the drive whose registers a table lists; raises ProfileError."""
-    from profiles.table import LARGEST, read_csv
+    from profiles.table_rows import LARGEST, read_csv
 
     try:
         data = contents(path, LARGEST)

@@ -1,18 +1,8 @@
-"""Draft profiles from a register table: CSV, a row a parameter.
-
-Columns, in any order: `name`, `register` (as on the wire, 813, 0x32D or 32Dh) or `modicon` (40001
-…), `type`; and, where they are needed, `title`, `unit`, `scale`, `minimum`, `maximum`, `access`,
-`word_order`, `function` (6 or 16), `trust`, `mask`, `on`, `off`. For a drive without CiA 402, the
-row `servo_on` says in `on` and `off` what is written, and the row `drive_status` in `mask` and `on`
-how the drive shows that it is enabled.
-"""
+"""Draft profiles from a register table."""
 
 from __future__ import annotations
 
-import csv
-import io
-import re
-from dataclasses import dataclass
+import difflib
 from typing import Any
 
 import tomlkit
@@ -20,114 +10,15 @@ import tomlkit
 from profiles.address import WIDTH_BITS
 from profiles.draft import Draft, profile_name
 from profiles.errors import ProfileError
+from profiles.law import CompensationLaw
 from profiles.parameter import Unit
+from profiles.table_rows import NAMES, Row
 
-__all__ = ["COLUMNS", "NAMES", "Row", "from_table", "read_csv"]
+__all__ = ["from_table"]
 
-COLUMNS = (
-    "name", "register", "modicon", "type", "title", "unit", "scale", "minimum", "maximum", "access",
-    "stop", "reset", "fault",
-    "word_order", "function", "trust", "mask", "on", "off",
-)  # fmt: skip
-NAMES = {  # what tworelay asks of a drive: unit, protection, and what it is
-    "torque_target": ("rated", "command", "torque command"),
-    "position_actual": ("increment", "read", "actual position"),
-    "torque_actual": ("rated", "read", "actual torque"),
-    "controlword": ("1", "command", "controlword of CiA 402"),
-    "statusword": ("1", "read", "statusword of CiA 402"),
-    "mode_of_operation": ("1", "command", "mode of operation (6060h)"),
-    "mode_display": ("1", "read", "mode of operation display (6061h)"),
-    "servo_on": ("1", "command", "servo on, for a drive without controlword"),
-    "drive_status": ("1", "read", "status that shows that it is enabled"),
-    "alarm": ("1", "read", "alarm code, 0 for none"),
-    "rated_torque": ("N.m", "read", "rated torque of the motor"),
-    "encoder_increments": ("1", "read", "increments of the position per revolution"),
-    "max_torque": ("rated", "experiment", "torque limit"),
-    "max_speed": ("rpm", "experiment", "speed limit"),
-    "watchdog_time": ("s", "experiment", "time-out of communication"),
-    "store_command": ("1", "maintenance", "writing 1 stores the parameters"),
-    "torque_offset": ("rated", "compensation", "offset torque"),
-    "coulomb_positive": ("rated", "compensation", "friction torque, positive direction"),
-    "coulomb_negative": ("rated", "compensation", "friction torque, negative direction"),
-    "viscous_gain": ("rated/(rad/s)", "compensation", "viscous friction"),
-    "friction": ("rated", "compensation", "friction torque, both directions"),
-    "friction_speed": ("rpm", "compensation", "speed up to which it is linear"),
-}  # fmt: skip
 _CIA402 = ("controlword", "statusword", "mode_of_operation", "mode_display")
 _MODICON = 40001
 _GAP = 8  # foreign registers that are read along
-LARGEST = 1_000_000
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One parameter: its cells by column, without the empty ones, and where it stands."""
-
-    where: str
-    cells: dict[str, str]
-
-    @property
-    def name(self) -> str:
-        """Name of the parameter."""
-        return self.cells["name"]
-
-    def integer(self, column: str) -> int | None:
-        """A cell as a number: 12, -12, 0xC or 0Ch; None: it is empty."""
-        text = self.cells.get(column)
-        if text is None:
-            return None
-        digits = re.fullmatch(r"([+-]?)(?:0x([0-9a-f]+)|([0-9a-f]+)h|(\d+))", text, re.IGNORECASE)
-        if digits is None or len(text) > 12:
-            raise ProfileError(
-                f"{self.where}: {column} '{text[:40]}' must be a number such as 813, 0x32D or 32Dh"
-            )
-        sign, first, second, decimal = digits.groups()
-        value = int(decimal) if decimal else int(first or second, 16)
-        return -value if sign == "-" else value
-
-
-def read_csv(data: bytes, origin: str) -> list[Row]:
-    """Rows of a register table; raises ProfileError."""
-    if len(data) > LARGEST or b"\0" in data:
-        raise ProfileError(f"{origin}: no register table: it is too long, or no text")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = data.decode("cp1252", "replace")
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    if not lines:
-        raise ProfileError(f"{origin}: the table is empty")
-    delimiter = max(";\t,", key=lines[0].count)
-    try:
-        table = list(csv.reader(io.StringIO("\n".join(lines)), delimiter=delimiter, strict=True))
-    except csv.Error as error:
-        raise ProfileError(f"{origin}: no CSV: {error}") from None
-    header = [cell.strip().lower().replace(" ", "_") for cell in table[0]]
-    if unknown := [cell for cell in header if cell and cell not in COLUMNS]:
-        raise ProfileError(
-            f"{origin}: no column '{unknown[0][:40]}'; there are {', '.join(COLUMNS)}"
-        )
-    if twice := {cell for cell in header if cell and header.count(cell) > 1}:
-        raise ProfileError(f"{origin}: column '{min(twice)}' comes twice")
-    rows = []
-    for number, cells in enumerate(table[1:], 2):
-        where = f"{origin} row {number}"
-        if len(cells) > len(header) and any(cell.strip() for cell in cells[len(header) :]):
-            raise ProfileError(f"{where}: {len(cells)} cells under {len(header)} columns")
-        filled = {
-            column: cell.strip()
-            for column, cell in zip(header, cells, strict=False)
-            if column and cell.strip()
-        }
-        if not filled:
-            continue
-        if "name" not in filled or not re.fullmatch(r"[a-z][a-z0-9_]*", filled["name"]):
-            raise ProfileError(
-                f"{where}: name '{filled.get('name', '')[:40]}' must be of lower-case letters, "
-                f"digits and _; tworelay knows {', '.join(NAMES)}"
-            )
-        rows.append(Row(where, filled))
-    return rows
 
 
 def from_table(rows: list[Row], title: str, origin: str) -> Draft:
@@ -136,6 +27,8 @@ def from_table(rows: list[Row], title: str, origin: str) -> Draft:
     for row in rows:
         if row.name in found:
             raise ProfileError(f"{row.where}: '{row.name}' comes twice")
+        if row.name not in NAMES and "before" not in row.cells:
+            raise ProfileError(_unknown(row))
         found[row.name] = row
     is_cia402 = "controlword" in found
     needed = ("torque_target", "position_actual", *(_CIA402 if is_cia402 else ()))
@@ -159,36 +52,44 @@ def from_table(rows: list[Row], title: str, origin: str) -> Draft:
     document["identity"] = {"asked": False}
     document["cycle"] = _cycle(found, is_cia402=is_cia402)
     document.update(_power(found, is_cia402=is_cia402))
-    document["limits"] = {
-        kind: name for kind, name in (("torque", "max_torque"), ("speed", "max_speed"))
-        if name in found
-    }  # fmt: skip
+    kinds = "torque", "torque_negative", "speed", "speed_negative", "current"
+    document["limits"] = {kind: f"max_{kind}" for kind in kinds if f"max_{kind}" in found}
     document["watchdog"] = _watchdog(found)
     if "store_command" in found:
-        document["store"] = {"steps": [{"write": "store_command", "raw": 1}]}
+        document["store"] = {"steps": _store(found)}
+    if "own_friction" in found:
+        document["own_estimates"] = {"coulomb": "own_friction"}
+    if "motor_temperature" in found:
+        document["conditions"] = {"motor_temperature": "motor_temperature"}
     document["compensation"] = _compensation(found)
     document["parameters"] = parameters
     notes += _notes(found)
     return Draft(tomlkit.dumps(document), tuple(notes))
 
 
+def _unknown(row: Row) -> str:
+    """What tworelay has no use for, and what was probably meant."""
+    near = difflib.get_close_matches(row.name, NAMES, 1)
+    meant = f": is it '{near[0]}'?" if near else ""
+    return (
+        f"{row.where}: '{row.name}' is no name that tworelay knows{meant} (there are "
+        f"{', '.join(NAMES)}; any other register has to say in 'before' what is written to it "
+        "before the torque mode is enabled)"
+    )
+
+
 def _parameter(row: Row, notes: list[str]) -> dict[str, Any]:
-    unit, protection, what = NAMES.get(row.name, ("1", "read", row.name))
-    if row.name not in NAMES:
-        notes.append(f"{row.where}: '{row.name}' is kept to be read; tworelay has no use for it")
+    unit, protection, what = NAMES.get(row.name, ("1", "experiment", row.name.replace("_", " ")))
     cells = row.cells
-    register = row.integer("register")
-    if register is None and (modicon := row.integer("modicon")) is not None:
-        register = modicon - _MODICON
-    if register is None:
-        raise ProfileError(f"{row.where}: '{row.name}' has no register")
+    register = _register(row)
     kind = cells.get("type", "u16").lower()
     if kind not in WIDTH_BITS:
         raise ProfileError(f"{row.where}: type '{kind[:40]}' is none of {', '.join(WIDTH_BITS)}")
     if (given := cells.get("unit")) is not None and given not in list(Unit):
         raise ProfileError(
-            f"{row.where}: unit '{given[:40]}' is none of {', '.join(Unit)}; what one raw step is "
-            "of it stands in scale (ms: unit s, scale 0.001; 0.1 %: unit rated, scale 0.001)"
+            f"{row.where}: unit '{given[:40]}' is none of {', '.join(Unit)}{_meant(given)}; what "
+            "one raw step is of it stands in scale (ms: unit s, scale 0.001; 0.1 %: unit rated, "
+            "scale 0.001)"
         )
     address: dict[str, Any] = {"register": register, "type": kind}
     if "word_order" in cells:
@@ -217,49 +118,166 @@ def _parameter(row: Row, notes: list[str]) -> dict[str, Any]:
     return parameter
 
 
+_UNITS = {
+    "nm": "N.m", "n·m": "N.m", "%": "rated", "permille": "rated", "‰": "rated", "ms": "s",
+    "us": "s", "counts": "increment", "count": "increment", "inc": "increment", "ma": "A",
+    "arms": "A", "r/min": "rpm", "1/min": "rpm", "min-1": "rpm", "°c": "degC", "turn": "rev",
+    "turns": "rev", "rad/sec": "rad/s",
+}  # fmt: skip
+
+
+def _meant(unit: str) -> str:
+    """The unit that was probably meant."""
+    plain = unit.strip().lower()
+    near = _UNITS.get(plain) or next(iter(difflib.get_close_matches(unit, list(Unit), 1)), None)
+    return f" ('{near}'?)" if near else ""
+
+
 def _cycle(found: dict[str, Row], *, is_cia402: bool) -> dict[str, Any]:
     status = "statusword" if is_cia402 else "drive_status"
     single = found["torque_target"].integer("function") == 6
+    into = (status, "alarm", "position_actual", "torque_actual")
+    behind = _follows(found["torque_target"], found.get("position_target"))
     return {
         "function": "fc6+3" if single else "fc16+3",
         "gap": _GAP,
-        "out": ["torque_target"],
-        "in": [status, "position_actual", *(["torque_actual"] if "torque_actual" in found else [])],
+        "out": ["torque_target", *(["position_target"] if behind and not single else [])],
+        "in": [name for name in into if name in found],
     }
 
 
+def _register(row: Row) -> int:
+    register = row.integer("register")
+    if register is None and (modicon := row.integer("modicon")) is not None:
+        register = modicon - _MODICON
+    if register is None:
+        raise ProfileError(f"{row.where}: '{row.name}' has no register")
+    return register
+
+
+def _follows(torque: Row, position: Row | None) -> bool:
+    """Whether both are written in one block: the position's register follows the torque's."""
+    if position is None:
+        return False
+    width = WIDTH_BITS.get(torque.cells.get("type", "u16").lower(), 16) // 16
+    return _register(position) == _register(torque) + max(width, 1)
+
+
 def _power(found: dict[str, Row], *, is_cia402: bool) -> dict[str, Any]:
-    mode: dict[str, Any] = {"set_point": "torque_target"}
+    modes = _modes(found, is_cia402=is_cia402)
     if is_cia402:
         return {
-            "modes": {"torque": [{"code": 10, **mode}]},
+            "modes": modes,
             "stop": [{"write": "controlword", "raw": 2}],
             "disable": [{"write": "controlword", "raw": 0}],
         }
-    switch, status = found["servo_on"], found["drive_status"]
-    on, off = switch.integer("on"), switch.integer("off")
-    off_step = [{"write": "servo_on", "raw": 0 if off is None else off}]
-    quick, reset = switch.integer("stop"), switch.integer("reset")
-    stop_step = off_step if quick is None else [{"write": "servo_on", "raw": quick}]
-    enabled, mask, fault = (status.integer(column) for column in ("on", "mask", "fault"))
-    if enabled is None:
+    switches = [found[name] for name in ("servo_on", "servo_on_2") if name in found]
+    off_steps = [
+        {"write": row.name, "raw": raw}
+        for row in reversed(switches)
+        for raw in row.integers("off") or [0]
+    ]
+    stop_steps = _written(switches, "stop") or off_steps
+    reset = _written([*switches, *_rows(found, "fault_reset")], "reset")
+    if "fault_reset" in found:
+        reset += [
+            {"write": "fault_reset", "raw": raw}
+            for raw in found["fault_reset"].integers("on") or [1]
+        ]
+    power: dict[str, Any] = {
+        "enable": [
+            {"write": row.name, "raw": raw} for row in switches for raw in row.integers("on") or [1]
+        ],
+        **_signs(found),
+    }
+    if reset:
+        by_switch = any(step["write"] in ("servo_on", "servo_on_2") for step in reset)
+        power["reset"] = [*reset, *(off_steps if by_switch else [])]
+    return {"modes": modes, "power": power, "stop": stop_steps, "disable": off_steps}
+
+
+def _rows(found: dict[str, Row], *names: str) -> list[Row]:
+    return [found[name] for name in names if name in found]
+
+
+def _written(rows: list[Row], column: str) -> list[dict[str, Any]]:
+    """The steps that a column says."""
+    return [{"write": row.name, "raw": raw} for row in rows for raw in row.integers(column)]
+
+
+def _signs(found: dict[str, Row]) -> dict[str, Any]:
+    """How the drive shows that it is enabled, brakes, and is in fault."""
+    status = found["drive_status"]
+    enabled, mask = status.integers("on"), status.integer("mask")
+    if not enabled:
         raise ProfileError(
             f"{status.where}: drive_status needs 'on' (and 'mask'): what does it read when the "
             "drive is enabled?"
         )
-    power: dict[str, Any] = {
-        "enable": [{"write": "servo_on", "raw": 1 if on is None else on}],
-        "enabled": {
-            "parameter": "drive_status", "mask": -1 if mask is None else mask, "equals": enabled,
-        },
-    }  # fmt: skip
+
+    def reads(values: list[int]) -> dict[str, Any]:
+        what: dict[str, Any] = {"parameter": "drive_status", "mask": -1 if mask is None else mask}
+        return what | ({"equals": values[0]} if len(values) == 1 else {"among": values})
+
+    signs = {"enabled": reads(enabled)}
+    if stopping := status.integers("stopping"):
+        signs["stopping"] = reads(stopping)
+    fault, bits = status.integers("fault_value"), status.integer("fault")
     if "alarm" in found:
-        power["fault"] = {"parameter": "alarm", "differs": 0}
-    elif fault is not None:
-        power["fault"] = {"parameter": "drive_status", "mask": fault, "differs": 0}
-    if reset is not None:
-        power["reset"] = [{"write": "servo_on", "raw": reset}, *off_step]
-    return {"modes": {"torque": [mode]}, "power": power, "stop": stop_step, "disable": off_step}
+        signs["fault"] = {"parameter": "alarm", "differs": 0}
+    elif fault:
+        signs["fault"] = reads(fault)
+    elif bits is not None:
+        signs["fault"] = {"parameter": "drive_status", "mask": bits, "differs": 0}
+    return signs
+
+
+def _modes(found: dict[str, Row], *, is_cia402: bool) -> dict[str, Any]:
+    """Torque, and position where its command can be given in the cycle."""
+    mode = found.get("mode_of_operation")
+    codes = {
+        "torque": mode.integer("torque") if mode else None,
+        "position": mode.integer("position") if mode else None,
+    }
+    if is_cia402:
+        codes = {"torque": codes["torque"] or 10, "position": codes["position"] or 8}
+    elif mode is not None and codes["torque"] is None:
+        raise ProfileError(
+            f"{mode.where}: mode_of_operation needs 'torque' (and 'position'): which value is "
+            "that mode?"
+        )
+    before = [
+        {"write": row.name, "raw": raw} for row in found.values() for raw in row.integers("before")
+    ]
+    modes: dict[str, Any] = {}
+    for name, set_point in (("torque", "torque_target"), ("position", "position_target")):
+        if set_point not in found or (name == "position" and mode is not None and not codes[name]):
+            continue
+        if name == "position" and not _follows(found["torque_target"], found[set_point]):
+            continue
+        modes[name] = [{"set_point": set_point}]
+        if codes[name] is not None:
+            modes[name][0] |= {"code": codes[name]}
+        if name == "torque" and before:
+            modes[name][0] |= {"before": before}
+    return modes
+
+
+def _store(found: dict[str, Row]) -> list[dict[str, Any]]:
+    """The word, or words, that store; and how it shows that it is done."""
+    words = found["store_command"].integers("on") or [1]
+    steps: list[dict[str, Any]] = [{"write": "store_command", "raw": raw} for raw in words]
+    status = found.get("store_status")
+    if status is not None:
+        done = status.integer("on")
+        if done is None:
+            raise ProfileError(
+                f"{status.where}: store_status needs 'on': what does it read once all is stored?"
+            )
+        mask = status.integer("mask")
+        masked = {} if mask is None else {"mask": mask}
+        steps.append({"until": "store_status", **masked, "equals": done, "within": 10.0})
+    return steps
 
 
 def _watchdog(found: dict[str, Row]) -> dict[str, Any]:
@@ -269,21 +287,38 @@ def _watchdog(found: dict[str, Row]) -> dict[str, Any]:
 
 
 def _compensation(found: dict[str, Row]) -> dict[str, Any]:
-    law: dict[str, Any] = {"law": "none"}
-    if "coulomb_positive" in found and "coulomb_negative" in found:
-        law = {
-            "law": "offset+asymmetric", "positive": "coulomb_positive",
-            "negative": "coulomb_negative",
-        }  # fmt: skip
-        if "viscous_gain" in found:
-            law |= {"law": "coulomb+viscous", "viscous": "viscous_gain"}
-    elif "friction" in found:
-        law = {"law": "single-gain", "gain": "friction"}
-        if "friction_speed" in found:
-            law |= {"law": "saturated-linear", "speed": "friction_speed"}
-    if law["law"] != "none" and "torque_offset" in found:
-        law["offset"] = "torque_offset"
-    return law
+    """The law whose terms the table has."""
+    terms = {
+        "offset": "torque_offset", "positive": "coulomb_positive", "negative": "coulomb_negative",
+        "gain": "friction", "speed": "friction_speed", "viscous": "viscous_gain",
+    }  # fmt: skip
+    there = {term: name for term, name in terms.items() if name in found}
+    if "positive" in there and "negative" in there:
+        there.pop("gain", None)
+    for law in CompensationLaw:
+        if there.keys() - {"offset"} and law.takes(frozenset(there)):
+            sign = {"negative_sign": _negative_sign(found["coulomb_negative"])}
+            return {"law": str(law), **there, **(sign if "negative" in there else {})}
+    if there.keys() <= {"offset"}:
+        return {"law": "none"}
+    first = found[next(name for term, name in there.items() if term != "offset")]
+    raise ProfileError(
+        f"{first.where}: {', '.join(there.values())} are the terms of no law: there are "
+        "coulomb_positive and coulomb_negative, or friction, each with or without friction_speed; "
+        "viscous_gain with coulomb_positive and coulomb_negative; torque_offset with any"
+    )
+
+
+def _negative_sign(row: Row) -> int:
+    """How the drive stores the friction of the negative direction: below zero where it can."""
+    sign = row.integer("sign")
+    if sign is not None:
+        if sign not in (-1, 1):
+            raise ProfileError(f"{row.where}: sign {sign} must be 1 or -1")
+        return sign
+    lowest = row.integer("minimum")
+    signed = row.cells.get("type", "u16").lower().startswith("i")
+    return -1 if signed and lowest is not None and lowest < 0 else 1
 
 
 def _notes(found: dict[str, Row]) -> list[str]:
@@ -298,13 +333,16 @@ def _notes(found: dict[str, Row]) -> list[str]:
     notes = [text for name, text in texts.items() if name not in found]
     if "servo_on" in found and "drive_status" in found:
         switch, status = found["servo_on"], found["drive_status"]
-        if switch.integer("stop") is None:
+        if not switch.integers("stop"):
             notes.append(
                 "servo_on has no 'stop': the axis is stopped by switching it off, and coasts"
             )
-        if "alarm" not in found and status.integer("fault") is None:
-            notes.append("no alarm, and no 'fault' bits in drive_status: a fault is not recognised")
-        if switch.integer("reset") is None:
+        if "alarm" not in found and not {"fault", "fault_value"} & status.cells.keys():
+            notes.append(
+                "no alarm, and no 'fault' or 'fault_value' in drive_status: a fault is not "
+                "recognised"
+            )
+        if not switch.integers("reset") and "fault_reset" not in found:
             notes.append(
                 "servo_on has no 'reset': a fault is reset at the drive, also the one that the "
                 "proof of its watchdog makes (--without-watchdog leaves that proof out)"
@@ -313,8 +351,21 @@ def _notes(found: dict[str, Row]) -> list[str]:
         notes.append(
             "no coulomb_positive and coulomb_negative, and no friction: nothing can be compensated"
         )
-    notes.append(
-        "what the torque mode needs (mode, source of the command) stands in 'before' of "
-        "[[modes.torque]]"
-    )
+    if "coulomb_negative" in found and _negative_sign(found["coulomb_negative"]) < 0:
+        notes.append(
+            "coulomb_negative takes values below zero: the friction of the negative direction is "
+            "written so (negative_sign = -1 in [compensation]; sign 1 in the table: above zero)"
+        )
+    if "position_target" in found and not _follows(
+        found["torque_target"], found["position_target"]
+    ):
+        notes.append(
+            "position_target does not follow torque_target, register by register, so both are not "
+            "written in one block: there is no proof in position mode"
+        )
+    if not any("before" in row.cells for row in found.values()):
+        notes.append(
+            "what the torque mode needs (mode, source of the command) stands in column 'before', "
+            "or in 'before' of [[modes.torque]]"
+        )
     return notes

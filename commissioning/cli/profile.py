@@ -151,7 +151,7 @@ def _asked(name: str) -> Draft:
     from profiles.errors import UsageError
     from profiles.library import draft_from_table
     from profiles.parameter import Unit
-    from profiles.table import NAMES, Row
+    from profiles.table_rows import NAMES, Row
 
     if not sys.stdin.isatty():
         raise UsageError(

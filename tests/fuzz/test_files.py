@@ -20,7 +20,8 @@ from profiles.eds import parse_eds
 from profiles.errors import TwoRelayError
 from profiles.library import builtin_names, check, digest, load_profile
 from profiles.schema import Profile
-from profiles.table import from_table, read_csv
+from profiles.table import from_table
+from profiles.table_rows import read_csv
 from profiles.toml_files import parse_model
 from tests.command import ROOT
 from tests.fuzz.mutation import fuzzed, mutated

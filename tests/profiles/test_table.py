@@ -10,8 +10,10 @@ from profiles.address import ModbusAddress
 from profiles.errors import ProfileError
 from profiles.library import check, draft_from_csv, load_profile
 from profiles.parameter import Unit
+from profiles.procedures import Mode
 from profiles.schema import Profile
-from profiles.table import from_table, read_csv
+from profiles.table import from_table
+from profiles.table_rows import read_csv
 from profiles.toml_files import parse_model
 from tests.conftest import Tworelay
 
@@ -72,8 +74,19 @@ def test_a_cia_402_drive_counted_from_40001_with_commas() -> None:
         ("0,001;-3000", "much;-3000", "row 2: scale 'much' is no number"),
         ("torque_target", "Torque!", "row 2: name 'Torque!' must be of lower-case letters"),
         ("torque_actual", "torque_target", "row 4: 'torque_target' comes twice"),
-        ("position_actual", "position", "the table lacks position_actual"),
-        ("servo_on", "servo", "how is the drive enabled? The table needs controlword"),
+        ("position_actual", "position_target", "the table lacks position_actual"),
+        ("servo_on", "controlword", "the table lacks statusword"),
+        ("servo_on", "alarm", "how is the drive enabled? The table needs controlword"),
+        # a name, or a unit, that is none: what was probably meant
+        (
+            "coulomb_positive",
+            "coulmb_positive",
+            "row 8: 'coulmb_positive' is no name that tworelay knows: is it 'coulomb_positive'?",
+        ),
+        ("u16;N.m;", "u16;Nm;", "row 7: unit 'Nm' is none of"),
+        ("u16;N.m;", "u16;Nm;", "('N.m'?)"),
+        ("i16;rated;0,001", "i16;%;0,001", "('rated'?)"),
+        ("0x700;i16", "0x700;i16;rated;x", "scale 'x' is no number"),
         ("0xFF;2", "0xFF;", "drive_status needs 'on'"),
         ("Name;Register", "Name;Name", "column 'name' comes twice"),
     ],
@@ -103,6 +116,71 @@ def test_what_the_schema_refuses_ends_with_exit_code_2(
     assert words in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert not target.exists()
+
+
+KEYS = """name;register;type;unit;scale;minimum;maximum;mask;on;off;stop;reset;stopping;fault_value;torque;position;before
+torque_target;100h;i16;rated;0.001
+position_target;101h;i32
+position_actual;202h;i32
+drive_status;200h;u16;;;;;0xFF;4 5;;;;6;9 10
+servo_on;300h;u16;;;;;;0x55 0xAA;0;2;0xF0
+mode_of_operation;0A00h;u16;;;;;;;;;;;;3;1
+source;0A01h;u16;;;;;;;;;;;;;;7
+fault_reset;0A02h;u16;;;;;;0x11 0x22
+store_command;402h;u16;;;;;;0x1234
+store_status;403h;u16;;;;;0x0F;5
+max_torque;410h;u16;rated;0.001
+max_torque_negative;411h;i16;rated;0.001;-4000;0
+watchdog_time;420h;u16;s;0.001
+torque_offset;500h;i16;rated;0.001
+coulomb_positive;501h;i16;rated;0.001;0;300
+coulomb_negative;502h;i16;rated;0.001;-300;300
+friction_speed;503h;u16;rpm
+serial_number;600h;u32
+rated_torque;610h;u16;N.m;0.01
+encoder_increments;612h;u32
+"""
+
+
+def test_keys_modes_and_a_linear_zone_become_a_profile_that_is_performed(
+    tworelay: Tworelay, tmp_path: Path
+) -> None:
+    table, target = tmp_path / "acme.csv", tmp_path / "acme.toml"
+    table.write_text(KEYS, "utf-8")
+    done = tworelay("profile", "new", "--csv", str(table), "--output", str(target))
+    assert done.returncode == 0, done.stderr
+    assert "coulomb_negative takes values below zero" in done.stdout
+    profile = load_profile(str(target))
+    power, law, store = profile.power, profile.compensation, profile.store
+    assert power is not None
+    assert store is not None
+    assert [step.raw for step in power.enable] == [0x55, 0xAA]
+    assert power.enabled.wanted == (4, 5)
+    assert power.stopping is not None
+    assert power.stopping.holds(6)
+    assert power.fault is not None
+    assert power.fault.wanted == (9, 10)
+    assert [(s.write, s.raw) for s in power.reset] == [
+        ("servo_on", 0xF0), ("fault_reset", 0x11), ("fault_reset", 0x22), ("servo_on", 0),
+    ]  # fmt: skip
+    assert [(s.write, s.raw) for s in profile.stop] == [("servo_on", 2)]
+    codes = {str(mode): mode_codes[0].code for mode, mode_codes in profile.modes.items()}
+    assert codes == {"torque": 3, "position": 1}
+    assert [(s.write, s.raw) for s in profile.modes[Mode.TORQUE][0].before] == [("source", 7)]
+    assert (law.law, law.negative_sign, law.speed) == ("saturated-linear", -1, "friction_speed")
+    assert profile.limits["torque_negative"] == "max_torque_negative"
+    assert [(s.write, s.raw, s.until, s.mask, s.equals) for s in store.steps] == [
+        ("store_command", 0x1234, None, -1, None), (None, None, "store_status", 15, 5),
+    ]  # fmt: skip
+    done = tworelay("profile", "check", str(target))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "all of it performed on its own twin" in done.stdout
+
+
+def test_terms_of_no_law_are_refused(tmp_path: Path) -> None:
+    text = KEYS.replace("coulomb_negative;", "# coulomb_negative;").encode()
+    with pytest.raises(ProfileError, match="are the terms of no law"):
+        from_table(read_csv(text, "t.csv"), "x", "t.csv")
 
 
 def test_questions_need_a_terminal(tworelay: Tworelay, tmp_path: Path) -> None:

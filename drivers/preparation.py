@@ -114,8 +114,11 @@ class Preparation:
         value = self._access.optional("interpolation_time")
         power = self._access.optional("interpolation_exponent")
         if value is not None and power is not None:
-            told, exponent = interpolation_period(self._access.bus.cycle)
+            cycle = self._access.bus.cycle
+            told, exponent = interpolation_period(cycle)
             found = {"interpolation_time": told, "interpolation_exponent": exponent}
+            if self._parameters["interpolation_exponent"].protection is Protection.READ:
+                found = {"interpolation_time": round(cycle / 10.0**power)}  # it counts so, for good
         option = self._access.optional("quick_stop_option")
         if option is not None and option >= cia402.STAYS_IN_QUICK_STOP:
             found["quick_stop_option"] = cia402.QUICK_STOP_RAMP

@@ -25,8 +25,13 @@ _NO_LIMIT = 10_000  # per mille of rated torque
 # without these no relay experiment can be driven at all
 _NEEDED = {
     (0x6040, 0): "controlword", (0x6041, 0): "statusword", (0x6060, 0): "modes of operation",
-    (0x6061, 0): "modes of operation display", (0x6064, 0): "position actual value",
+    (0x6064, 0): "position feedback",
 }  # fmt: skip
+_FRICTION = re.compile(r"friction|coulomb|stiction|breakaway|reibung|losbrech", re.IGNORECASE)
+_MANUFACTURER = range(0x2000, 0x6000)
+_MOST_CANDIDATES = 8
+_VELOCITY, _CONSUMER_HEARTBEAT = 0x60A9, 0x1016
+_REVOLUTION, _PER = 0xB4, {0x47: "min", 0x03: "s"}  # of an SI unit (CiA 303-2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,15 +79,23 @@ def from_eds(eds: Eds, template: str, origin: str) -> Draft:
         )
     else:
         notes.append("the file says no vendor number: the profile fits no drive by itself, name it")
+    notes += [f"{text}: 1018h counts" for text in eds.differs]
     notes += _take_entries(document, eds)
     notes += _without_what_is_missing(document, eds)
+    notes += _candidates(eds) + _velocity(eds)
     return Draft(tomlkit.dumps(document), tuple(notes))
 
 
 def _refuse(eds: Eds, origin: str) -> None:
-    missing = [f"{i:04X}h {name}" for (i, s), name in _NEEDED.items() if eds.entry(i, s) is None]
+    missing = {at: name for at, name in _NEEDED.items() if eds.entry(*at) is None}
+    if len(missing) == len(_NEEDED):
+        raise ProfileError(
+            f"{origin}: no CiA 402 drive: it has none of "
+            + ", ".join(f"{index:04X}h {name}" for (index, _), name in missing.items())
+        )
     if missing:
-        raise ProfileError(f"{origin}: no CiA 402 drive: it lacks {', '.join(missing)}")
+        told = ", ".join(f"no {name} {index:04X}h" for (index, _), name in missing.items())
+        raise ProfileError(f"{origin}: the drive has {told}: it cannot be used")
     if eds.entry(0x6071) is None:
         offset = (
             " (its 60B2h torque offset is an addition, no command)" if eds.entry(0x60B2) else ""
@@ -91,8 +104,13 @@ def _refuse(eds: Eds, origin: str) -> None:
             f"{origin}: the drive has no 6071h target torque, so no torque can be commanded and no "
             f"relay experiment run{offset}; it cannot be used"
         )
-    modes = eds.entry(0x6502)
-    supported = modes.default if modes else None
+    target = eds.entries[0x6071, 0]
+    if target.access == "ro" and not target.mappable:
+        raise ProfileError(
+            f"{origin}: 6071h target torque is read only in this drive, and in no PDO: no torque "
+            "can be commanded, it cannot be used"
+        )
+    supported = eds.value(0x6502)
     if supported and not supported >> _TORQUE & 1 and not supported >> _CYCLIC_TORQUE & 1:
         raise ProfileError(
             f"{origin}: 6502h supported drive modes is 0x{supported:X}: neither torque (bit 3) nor "
@@ -102,7 +120,8 @@ def _refuse(eds: Eds, origin: str) -> None:
 
 def _take_entries(document: TOMLDocument, eds: Eds) -> list[str]:
     """Types, titles, access and limits as the file has them; parameters that it lacks go."""
-    notes = []
+    notes: list[str] = []
+    missing: list[str] = []
     parameters: Any = document["parameters"]
     for name in list(parameters):
         parameter = parameters[name]
@@ -111,7 +130,7 @@ def _take_entries(document: TOMLDocument, eds: Eds) -> list[str]:
         entry = eds.entry(index, sub)
         if entry is None:
             del parameters[name]
-            notes.append(f"{name}: {index:04X}h:{sub:02X} is not in the file")
+            missing.append(f"{name} {index:04X}h" + (f":{sub:02X}" if sub else ""))
             continue
         if entry.type is not None and entry.type != address["type"]:
             notes.append(
@@ -122,8 +141,9 @@ def _take_entries(document: TOMLDocument, eds: Eds) -> list[str]:
             parameter["title"] = entry.name
         parameter["trust"] = "derived"
         _take_access(parameter, entry, name, notes)
-        _take_limits(parameter, entry)
-    return notes
+        if index != _CONSUMER_HEARTBEAT:  # whose value has the node in it
+            _take_limits(parameter, entry)
+    return notes + ([f"not in the file: {', '.join(missing)}"] if missing else [])
 
 
 def _take_access(parameter: Any, entry: EdsEntry, name: str, notes: list[str]) -> None:
@@ -160,10 +180,20 @@ def _without_what_is_missing(document: TOMLDocument, eds: Eds) -> list[str]:
         return name in parameters and parameters[name].get("access") != "ro"
 
     watchdog: Any = document["watchdog"]
-    if not has("watchdog_time"):
+    if not has("watchdog_time") and has("guard_time") and has("life_factor"):
+        watchdog["kind"], watchdog["parameter"] = "guarding", "guard_time"
+        watchdog.pop("guard_time")
+        notes.append(
+            "no consumer heartbeat 1016h, but life guarding (100Ch, 100Dh): it watches the link "
+            "where the adapter sends remote frames"
+        )
+    elif not has("watchdog_time"):
         watchdog["kind"] = "none"
         del watchdog["parameter"]
-        notes.append("no consumer heartbeat 1016h: the drive does not notice a dead link")
+        notes.append(
+            "no consumer heartbeat 1016h, no life guarding 100Ch: the drive does not notice a dead "
+            "link"
+        )
     if not has("abort_connection_option"):
         watchdog.pop("reaction", None)
         watchdog.pop("reaction_raw", None)
@@ -187,10 +217,10 @@ def _without_what_is_missing(document: TOMLDocument, eds: Eds) -> list[str]:
     for key in ("out", "in"):
         cycle[key] = [name for name in cycle[key] if name in parameters]
     notes += _modes(document, eds)
-    limit = eds.entry(0x6072)
-    if limit is not None and limit.default is not None and limit.default >= _NO_LIMIT:
+    limit = eds.value(0x6072)
+    if limit is not None and limit >= _NO_LIMIT:
         notes.append(
-            f"6072h max torque is delivered with {limit.default} per mille, which means no limit: "
+            f"6072h max torque is delivered with {limit} per mille, which means no limit: "
             "it is set and read back before every experiment"
         )
     if "rated_torque" not in parameters:
@@ -200,16 +230,58 @@ def _without_what_is_missing(document: TOMLDocument, eds: Eds) -> list[str]:
     return notes
 
 
+def _candidates(eds: Eds) -> list[str]:
+    """Objects of the manufacturer that may be the drive's friction compensation."""
+    found = []
+    for (index, sub), entry in sorted(eds.entries.items()):
+        record = eds.records.get(index, "")
+        named = f"{record}: {entry.name}" if record and sub else entry.name
+        if index not in _MANUFACTURER or not _FRICTION.search(named) or (record and not sub):
+            continue
+        at = f"{index:04X}h:{sub:02X}" if sub else f"{index:04X}h"
+        reads = ", read only" if entry.access == "ro" else ""
+        found.append(f"{at} '{named}' ({entry.type or 'no number'}{reads})")
+    if not found:
+        return []
+    more = f", and {len(found) - _MOST_CANDIDATES} more" if found[_MOST_CANDIDATES:] else ""
+    stands = "stands" if len(found) == 1 else "stand"
+    listed = ", ".join(found[:_MOST_CANDIDATES])
+    way = "describe in [compensation] what the drive has of its own"
+    return [f"{listed}{more} {stands} in the file; {way}"]
+
+
+def _velocity(eds: Eds) -> list[str]:
+    """What velocities are counted in, where the file says it (60A9h)."""
+    unit = eds.value(_VELOCITY)
+    if unit is None:
+        return []
+    exponent = (unit >> 24 & 0xFF) - (0x100 if unit >> 31 & 1 else 0)
+    above, below = unit >> 16 & 0xFF, unit >> 8 & 0xFF
+    if above != _REVOLUTION or below not in _PER:
+        return [f"60A9h counts velocities in {unit:08X}h, which is no speed of a shaft: look it up"]
+    if (exponent, _PER[below]) == (0, "min"):
+        return []
+    step = f"10^{exponent} " if exponent else ""
+    way = "6080h is rpm by the standard: compare max_speed with the drive's own display"
+    return [f"60A9h counts velocities in {step}rev/{_PER[below]}; {way}"]
+
+
 def _modes(document: TOMLDocument, eds: Eds) -> list[str]:
     """The modes that the drive has, as far as the file tells."""
     notes = []
     parameters: Any = document["parameters"]
     modes: Any = document["modes"]
+    bits = eds.value(0x6502)
+    if "mode_display" not in parameters:
+        notes.append("no 6061h: the mode is read back where it is written (6060h)")
     if "position_target" not in parameters:
         modes.remove("position")
+    elif bits and not any(bits >> int(mode["supported_bit"]) & 1 for mode in modes["position"]):
+        modes.remove("position")
+        notes.append(
+            f"no cyclic position mode in 6502h = 0x{bits:X}: what is written cannot be proved here"
+        )
     has_slope = "torque_slope" in parameters and parameters["torque_slope"].get("access") != "ro"
-    supported = eds.entry(0x6502)
-    bits = supported.default if supported else None
     kept = tomlkit.aot()
     for mode in modes["torque"]:
         if bits and not bits >> int(mode["supported_bit"]) & 1:

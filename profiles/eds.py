@@ -28,6 +28,8 @@ _ACCESS = {
     "ro": "ro", "const": "ro", "wo": "wo", "rw": "rw", "rwr": "rw", "rww": "rw",
 }  # fmt: skip
 _VARIABLE = 0x7
+_MOST_SUBS = 254
+_IDENTITY = 0x1018
 
 _OBJECT = re.compile(r"([0-9a-f]{1,4})(?:\s*sub\s*([0-9a-f]{1,2}))?", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?(?:0x[0-9a-f]+|\d+)", re.IGNORECASE)
@@ -81,9 +83,11 @@ class Eds:
     Attributes
     ----------
     vendor_name, product_name : texts
-    vendor, product, revision : numbers of object 1018h by the header, None where they are not said;
-        the header of some files names another company: the bus knows better
+    vendor, product, revision : numbers of object 1018h, by itself or else by the header; None where
+        they are not said
+    differs : what the header says else
     entries : by (index, sub)
+    records : names of arrays and records, by index
     mended : in the order of the file
     """
 
@@ -92,12 +96,21 @@ class Eds:
     vendor: int | None
     product: int | None
     revision: int | None
+    differs: tuple[str, ...]
     entries: dict[tuple[int, int], EdsEntry]
+    records: dict[int, str]
     mended: tuple[Mended, ...]
 
     def entry(self, index: int, sub: int = 0) -> EdsEntry | None:
         """A variable, None where the file has none."""
         return self.entries.get((index, sub))
+
+    def value(self, index: int, sub: int = 0) -> int | None:
+        """What it is set to, or delivered with; None where there is no plain number."""
+        there = self.entry(index, sub)
+        if there is None:
+            return None
+        return there.default if there.value is None else there.value
 
 
 @dataclass
@@ -222,6 +235,31 @@ class _Reader:
             value, low, high, self.number(section, "PDOMapping") == 1, section.line,
         )  # fmt: skip
 
+    def compact(
+        self, section: _Section, index: int, sections: dict[str, _Section]
+    ) -> list[EdsEntry]:
+        """The sub-objects of an array that is written in short (CiA 306, 4.6.3.3)."""
+        count = self.number(section, "CompactSubObj")
+        if not count:
+            return []
+        key = f"{index:04x}"
+        names, values = sections.get(f"{key}name"), sections.get(f"{key}value")
+        found = [
+            EdsEntry(index, 0, "Highest sub-index", "u8", "ro", count, None, None, None,
+                     mappable=False, line=section.line)
+        ]  # fmt: skip
+        for sub in range(1, min(count, _MOST_SUBS) + 1):
+            one = _Section(f"{index:04X}sub{sub:X}", section.line, dict(section.keys))
+            one.keys["objecttype"] = ("0x7", section.line)
+            if names is not None and names.text(str(sub)):
+                one.keys["parametername"] = (names.text(str(sub)), names.line)
+            if values is not None and values.text(str(sub)):
+                one.keys["parametervalue"] = (values.text(str(sub)), values.line)
+            entry = self.entry(one, index, sub)
+            if entry is not None:
+                found.append(entry)
+        return found
+
     @staticmethod
     def _as_typed(value: int | None, name: str | None) -> int | None:
         """A negative number that the file writes as its bits, 0x80000000 for an i32."""
@@ -253,6 +291,7 @@ def parse_eds(data: bytes, where: str) -> Eds:
             + (" but a list of objects" if "1000" in sections else "")
         )
     entries: dict[tuple[int, int], EdsEntry] = {}
+    records: dict[int, str] = {}
     for key, section in sections.items():
         match = _OBJECT.fullmatch(key)
         if match is None:
@@ -261,24 +300,42 @@ def parse_eds(data: bytes, where: str) -> Eds:
         if len(match[1]) != 4:
             reader.mend(section.line, f"[{section.name}] is read as object {index:04X}h")
         entry = reader.entry(section, index, sub)
-        if entry is not None:
-            entries.setdefault((index, sub), entry)
+        for one in [entry] if entry is not None else reader.compact(section, index, sections):
+            entries.setdefault((one.index, one.sub), one)
+        if entry is None and not match[2]:
+            records[index] = section.text("ParameterName")
     if not entries:
         raise ProfileError(f"{where}: describes no object: this is no EDS or DCF of a drive")
     _listed(reader, sections, entries)
-    vendor, product, revision = (
-        reader.number(device, key) for key in ("VendorNumber", "ProductNumber", "RevisionNumber")
-    )
+    who, differs = _who(reader, device, entries)
     reader.mended.sort(key=lambda item: item.line)
     return Eds(
         device.text("VendorName"),
         device.text("ProductName"),
-        vendor,
-        product,
-        revision,
+        *who,
+        differs,
         entries,
+        records,
         tuple(reader.mended),
     )
+
+
+def _who(
+    reader: _Reader, device: _Section, entries: dict[tuple[int, int], EdsEntry]
+) -> tuple[tuple[int | None, int | None, int | None], tuple[str, ...]]:
+    """Vendor, product and revision, by 1018h before the header; and where both differ."""
+    found: list[int | None] = []
+    differs = []
+    for sub, key in enumerate(("VendorNumber", "ProductNumber", "RevisionNumber"), 1):
+        entry, said = entries.get((_IDENTITY, sub)), reader.number(device, key)
+        there = None
+        if entry is not None:
+            there = entry.default if entry.value is None else entry.value
+        there = there or None  # 0 is delivered where nobody has filled it in
+        if there is not None and said is not None and there != said:
+            differs.append(f"{key} is {said:X}h in [DeviceInfo], and {there:X}h in 1018h:{sub:02X}")
+        found.append(said if there is None else there)
+    return (found[0], found[1], found[2]), tuple(differs)
 
 
 _LISTS = ("mandatoryobjects", "optionalobjects", "manufacturerobjects")

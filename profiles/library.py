@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -89,6 +91,7 @@ def as_written(axis: Axis, profile: Profile) -> Profile:
     return load_profile(axis.profile or profile.name)
 
 
+_SHORT = 2  # letters of a word that says nothing
 _GONE = ("brake",)  # sections of 0.1.0 that said nothing which is used
 
 
@@ -280,7 +283,25 @@ def _drafted(eds: Eds, origin: str) -> Draft:
 
     draft = from_eds(eds, _builtin_text("cia402"), origin)
     parse_model(draft.text, Profile, f"{origin} makes a profile that is not valid")
-    return draft
+    known = [f"the built-in profile '{name}' {why}" for name, why in _built_in_for(eds)]
+    return replace(draft, notes=(*known, *draft.notes))
+
+
+def _built_in_for(eds: Eds) -> Iterator[tuple[str, str]]:
+    """Built-in profiles of the drive that a file describes, and why."""
+    said = f"{eds.vendor_name} {eds.product_name}".lower()
+    who = [
+        f"0x{number:08X}" if number else "" for number in (eds.vendor, eds.product, eds.revision)
+    ]
+    identity = Identity(vendor=who[0], product=who[1], revision=who[2], serial="")
+    for profile in map(_builtin, builtin_names()):
+        if profile.bus != "canopen":
+            continue
+        maker, *product = re.findall(r"[a-z0-9-]+", profile.title.split(" on ")[0].lower())
+        if not profile.identity.empty and profile.identity.accepts(identity):
+            yield profile.name, "is for this drive, by its identity"
+        elif maker in said and any(word in said for word in product if len(word) > _SHORT):
+            yield profile.name, "may be for this drive, by its name: compare"
 
 
 def draft_from_csv(path: Path) -> Draft:

@@ -49,6 +49,7 @@ FRICTION = Found(  # of an axis that the twin does not have: its torques fit eve
     offset=Quantity(0.02, 0.01, 0.03, "N.m"),
     viscous=Quantity(2e-3, 1.9e-3, 2.1e-3, "N.m.s/rad"),
 )
+_LIMITED = 0.5  # of the rated torque: less than any drive is delivered with
 _SHARE = 0.05  # of the largest torque: the axis does not move for it
 _COUNTS = 20  # of a motion in position mode
 _STILL_BUSY = 0x8611  # following error: an error code that any twin can have
@@ -237,7 +238,12 @@ class _Bench:
     def job(self, of: str = "") -> None:
         """A job of its own, without the experiments: looked at, prepared, moved, put back."""
         none = self.profile.watchdog.kind == "none"
-        options = Options(max_speed=virtual_axis().speed, without_watchdog=none)
+        virtual = virtual_axis()
+        options = Options(
+            max_speed=virtual.speed,
+            max_torque=_LIMITED * virtual.rated,
+            without_watchdog=none,
+        )
         with self.act("look" + of):
             look(self.drive, self.axis)
             limits = choose_limits(self.drive, self.axis, options)

@@ -16,6 +16,7 @@ from profiles.eds import parse_eds, read_eds
 from profiles.errors import ProfileError
 from profiles.library import check, draft_from_eds, load_profile
 from profiles.procedures import Mode
+from profiles.schema import Profile
 from tests.command import ROOT
 from tests.conftest import Tworelay
 
@@ -34,7 +35,7 @@ REFUSED = {
     "schunk__ERB415.eds": "no 6071h target torque",
     "technosoft__ipos_ros2canopen.eds": "6502h supported drive modes is 0x1F0065",
     "test__canopen-python_sample.eds": "no CiA 402 drive",
-    "zltech__zlac8015d_sim.eds": "lacks 6061h",
+    "zltech__zlac8015d_sim.eds": "6071h target torque is read only in this drive, and in no PDO",
 }
 USABLE = {  # vendor and product of object 1018h
     "cia__402_profile.eds": (None, None),
@@ -105,6 +106,146 @@ def load_drafted(name: str):  # type: ignore[no-untyped-def]
     from profiles.toml_files import parse_model
 
     return parse_model(draft_from_eds(DATA / name).text, Profile, name)
+
+
+SHORT = """[DeviceInfo]
+VendorName=Acme
+VendorNumber=0x99
+[6040]
+ParameterName=Controlword
+DataType=0x6
+AccessType=rww
+[6041]
+ParameterName=Statusword
+DataType=0x6
+AccessType=ro
+[6060]
+ParameterName=Modes of operation
+DataType=0x2
+AccessType=rww
+[6064]
+ParameterName=Position actual value
+DataType=0x4
+AccessType=ro
+[6071]
+ParameterName=Target torque
+DataType=0x3
+AccessType=rww
+[607A]
+ParameterName=Target position
+DataType=0x4
+AccessType=rww
+[6502]
+ParameterName=Supported drive modes
+DataType=0x7
+AccessType=ro
+DefaultValue=0x3EF
+ParameterValue=0x201
+[60A9]
+ParameterName=SI unit velocity
+DataType=0x7
+AccessType=rw
+DefaultValue=0xFDB44700
+[1018]
+ParameterName=Identity
+ObjectType=0x9
+DataType=0x7
+AccessType=ro
+CompactSubObj=2
+[1018Value]
+NrOfEntries=2
+1=0x123
+2=0x456
+[2F10]
+ParameterName=Friction compensation
+ObjectType=0x8
+DataType=0x3
+AccessType=rw
+CompactSubObj=2
+[2F10Name]
+NrOfEntries=2
+1=Positive
+2=Negative
+[2F11]
+ParameterName=Static friction torque
+DataType=0x8
+AccessType=rw
+"""
+
+
+def draft(text: str, tmp_path: Path) -> tuple[Profile, str]:
+    """The profile of an EDS, and all that is said of it."""
+    path, target = tmp_path / "drive.eds", tmp_path / "drive.toml"
+    path.write_text(text, "utf-8")
+    made = draft_from_eds(path)
+    target.write_text(made.text, "utf-8")
+    return load_profile(str(target)), "\n".join(made.notes)
+
+
+def test_arrays_in_short_have_names_values_and_an_identity_that_counts(tmp_path: Path) -> None:
+    """CompactSubObj with [....Name] and [....Value]: CiA 306, 4.6.3.3."""
+    eds = parse_eds(SHORT.encode(), "x.eds")
+    assert [eds.value(0x1018, sub) for sub in (0, 1, 2)] == [2, 0x123, 0x456]
+    entry = eds.entry(0x2F10, 2)
+    assert entry is not None
+    assert (entry.name, entry.type, entry.access) == ("Negative", "i16", "rw")
+    profile, said = draft(SHORT, tmp_path)
+    assert (profile.identity.vendor, profile.identity.product) == ("0x00000123", "0x00000456")
+    assert "VendorNumber is 99h in [DeviceInfo], and 123h in 1018h:01: 1018h counts" in said
+
+
+def test_what_a_dcf_is_set_to_counts_before_what_is_delivered(tmp_path: Path) -> None:
+    """6502h = 201h: profile position and cyclic torque, neither torque nor cyclic position."""
+    profile, said = draft(SHORT, tmp_path)
+    assert [code.code for code in profile.modes[Mode.TORQUE]] == [10]
+    assert Mode.POSITION not in profile.modes
+    assert "no cyclic position mode in 6502h = 0x201" in said
+    assert "no 6061h: the mode is read back where it is written" in said
+
+
+def test_friction_objects_of_the_maker_are_candidates(tmp_path: Path) -> None:
+    _, said = draft(SHORT, tmp_path)
+    assert "2F10h:01 'Friction compensation: Positive' (i16)" in said
+    assert "2F11h 'Static friction torque' (f32) stand in the file; describe" in said
+    assert "60A9h counts velocities in 10^-3 rev/min" in said
+
+
+def test_guarding_is_seen_where_there_is_no_heartbeat(tmp_path: Path) -> None:
+    guarding = SHORT + "".join(
+        f"[{index}]\nParameterName={name}\nDataType={kind}\nAccessType=rw\n"
+        for index, name, kind in (("100C", "Guard time", 6), ("100D", "Life time factor", 5))
+    )
+    profile, said = draft(guarding, tmp_path)
+    watchdog = profile.watchdog
+    assert (watchdog.kind, watchdog.parameter, watchdog.life_factor) == (
+        "guarding", "guard_time", "life_factor",
+    )  # fmt: skip
+    assert "life guarding (100Ch, 100Dh)" in said
+    profile, said = draft(SHORT, tmp_path)
+    assert profile.watchdog.kind == "none"
+    assert "no consumer heartbeat 1016h, no life guarding 100Ch" in said
+
+
+@pytest.mark.parametrize(
+    ("gone", "reason"),
+    [
+        ("6064", "the drive has no position feedback 6064h"),
+        ("6041", "the drive has no statusword 6041h"),
+        ("6071", "no 6071h target torque"),
+    ],
+)
+def test_the_reason_of_a_refusal_is_the_true_one(gone: str, reason: str, tmp_path: Path) -> None:
+    text = SHORT.replace(f"[{gone}]", "[5FFF]", 1)
+    with pytest.raises(ProfileError) as caught:
+        draft(text, tmp_path)
+    assert reason in str(caught.value)
+
+
+def test_the_built_in_profile_of_a_drive_is_named(tmp_path: Path) -> None:
+    elmo = SHORT.replace("1=0x123", "1=0x9A").replace("2=0x456", "2=0x30923")
+    assert "the built-in profile 'elmo-gold' is for this drive" in draft(elmo, tmp_path)[1]
+    kollmorgen = SHORT.replace("VendorName=Acme", "VendorName=Kollmorgen\nProductName=AKD-P")
+    assert "the built-in profile 'kollmorgen-akd' may be for this" in draft(kollmorgen, tmp_path)[1]
 
 
 @real_files

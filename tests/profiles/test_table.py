@@ -118,7 +118,11 @@ def test_what_the_schema_refuses_ends_with_exit_code_2(
     assert not target.exists()
 
 
-KEYS = """name;register;type;unit;scale;minimum;maximum;mask;on;off;stop;reset;stopping;fault_value;torque;position;before
+EVERY = (
+    "name;register;type;unit;scale;minimum;maximum;mask;on;off;stop;reset;stopping;fault_value;"
+    "torque;position;before"
+)
+KEYS = f"""{EVERY}
 torque_target;100h;i16;rated;0.001
 position_target;101h;i32
 position_actual;202h;i32

@@ -25,7 +25,8 @@ from commissioning.result.endings import AxisState
 from commissioning.result.experiment import Allowed
 from commissioning.rig import preflight
 from commissioning.rig.conditions import conditions
-from commissioning.rig.preflight import check_watchdog, choose_limits, look, writes
+from commissioning.rig.dry_run import would_write
+from commissioning.rig.preflight import check_watchdog, choose_limits, look
 from commissioning.rig.results import Rejected, experiment
 from commissioning.rig.rig import Rig
 from commissioning.runs import RunFolder
@@ -189,14 +190,8 @@ def _dry_run(
 ) -> RunResult:
     """Say what would be written; write nothing."""
     desk.tell(_arming_text(axis, limits))
-    for name, raw in writes(drive, limits).items():
-        there, what = drive.read(name).raw, drive.parameters[name]
-        if there != raw:
-            desk.tell(
-                f"would set {name} ({what.address}): {there} → {raw} "
-                f"(x {what.raw_unit}), and put it back"
-            )
-    desk.tell("would set mode, target torque and controlword to move the axis, and put them back")
+    for line in would_write(drive, axis, limits):
+        desk.tell(line)
     desk.tell("dry run: nothing was written or moved")
     nothing = Reason("dry-run", Weight.NOTE, "dry run: nothing was measured")
     result = replace(result, status="completed", quality=Quality(None, (nothing,)))

@@ -1,0 +1,84 @@
+"""Every write that an experiment would make, for people; nothing is written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from commissioning.rig.preflight import POSITION, TORQUE, Limits, writes
+from drivers import cia402
+from drivers.drive import Drive
+from profiles.axis import Axis
+from profiles.procedures import Mode, Step
+
+__all__ = ["would_write"]
+
+
+def would_write(drive: Drive, axis: Axis, limits: Limits) -> Iterator[str]:
+    """Settings, set-points, keys and objects of the bus, each with where it is.
+
+    And what is to be compared with the drive's own display first. Raises LinkError.
+    """
+    yield from _to_compare(drive, axis, limits)
+    for name, raw in writes(drive, limits).items():
+        there, what = drive.read(name).raw, drive.parameters[name]
+        if there != raw:
+            yield (
+                f"would set {name} ({what.address}): {there} → {raw} (x {what.raw_unit}), and put "
+                "it back"
+            )
+    code = drive.preparation.code_of(Mode.TORQUE)
+    if code is not None:
+        mode = drive.parameters["mode_of_operation"]
+        yield f"would set mode_of_operation ({mode.address}) to {code}, and put it back"
+    target = drive.parameters[TORQUE]
+    most = target.raw(limits.torque)
+    yield (
+        f"would command {TORQUE} ({target.address}) in every cycle, 0 first, within ±{most} "
+        f"(x {target.raw_unit}, ±{limits.torque:.4g} {axis.effort_unit})"
+    )
+    profile, power = drive.profile, drive.profile.power
+    if power is None:
+        word = drive.parameters["controlword"].address
+        told = cia402.SHUTDOWN, cia402.SWITCH_ON, cia402.ENABLE
+        yield f"would enable: {', '.join(f'{raw:04X}h' for raw in told)} to controlword ({word})"
+        reset = f"{cia402.FAULT_RESET:04X}h to controlword ({word})"
+    else:
+        yield f"would enable: {_steps(drive, power.enable)}"
+        reset = _steps(drive, power.reset)
+    yield f"would stop: {_steps(drive, profile.stop)}"
+    yield f"would disable: {_steps(drive, profile.disable)}"
+    if reset:
+        yield f"would acknowledge the fault that the proof of the watchdog makes: {reset}"
+    for name, (old, new) in drive.preparation.bus().items():
+        if old != new:
+            yield f"would set {name} (of the bus): {old:X}h → {new:X}h, and put it back"
+
+
+def _to_compare(drive: Drive, axis: Axis, limits: Limits) -> Iterator[str]:
+    """What the drive says, in units that its own display has."""
+    here = drive.read(POSITION)
+    p, e = axis.position_unit, axis.effort_unit
+    turns = here.si / axis.mechanics.travel_per_revolution
+    yield (
+        f"compare with the drive's own display: position {here.si:.6g} {p} ({here.raw} of "
+        f"{drive.parameters[POSITION].address}, {turns:.4f} motor revolutions); rated torque "
+        f"{limits.rated:.4g} {e} at the axis"
+    )
+    for kind, name in drive.limits.items():
+        there = drive.read(name)
+        what = drive.parameters[name]
+        yield (
+            f"compare: {kind.replace('_', ' ')} limit {there.si:.4g} {what.unit} ({there.raw} of "
+            f"{what.address})"
+        )
+
+
+def _steps(drive: Drive, steps: tuple[Step, ...]) -> str:
+    """What a procedure does."""
+    told = []
+    for step in steps:
+        if step.write is not None:
+            told.append(f"{step.raw} to {step.write} ({drive.parameters[step.write].address})")
+        elif step.until is not None:
+            told.append(f"until {step.until} reads {step.equals}")
+    return ", ".join(told)

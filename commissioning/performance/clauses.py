@@ -151,8 +151,9 @@ def _cycle(profile: Profile, heard: Account) -> Found:
     cycle = profile.cycle
     for key, names, act in (("out", cycle.out, "write"), ("in", cycle.in_, "read")):
         said = [s.name for s in heard.said["torque"] if s.act == act]
-        if not _together(list(names), said):
-            yield Unheard("cycle", f"{key} = {', '.join(names)}: not exchanged in that order")
+        # registers are exchanged in the order of their addresses
+        if not _together(list(names), said, in_order=profile.bus == "canopen"):
+            yield Unheard("cycle", f"{key} = {', '.join(names)}: not exchanged in one go")
     if profile.bus == "modbus":
         used = heard.functions["torque"]
         if not _FUNCTIONS[cycle.function] <= used or (23 in used) != (cycle.function == "fc23"):
@@ -395,10 +396,13 @@ def _in_order(wanted: list[tuple[str, float]], there: list[tuple[str, float]]) -
     return all(one in rest for one in wanted)
 
 
-def _together(wanted: list[str], there: list[str]) -> bool:
+def _together(wanted: list[str], there: list[str], *, in_order: bool) -> bool:
     """Whether they come at once, nothing between."""
     size = len(wanted)
-    return any(there[at : at + size] == wanted for at in range(len(there) - size + 1))
+    if not in_order:
+        wanted = sorted(wanted)
+    windows = (there[at : at + size] for at in range(len(there) - size + 1))
+    return any((window if in_order else sorted(window)) == wanted for window in windows)
 
 
 def _kept(took: float, time: float) -> bool:

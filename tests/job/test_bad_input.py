@@ -227,9 +227,38 @@ def test_a_dry_run_writes_and_moves_nothing(tworelay: Tworelay, serve: Serve) ->
     link = serve("bench", *WIRES["modbus-tcp"], "--clock", "step")[0]
     done = tworelay("identify", link, "--travel", "3", "--dry-run")
     assert done.returncode == 0
-    assert "would set max_torque (register 0310h): 3000 → 1000 (x 0.001 rated)" in done.stdout
+    for said in (
+        "compare with the drive's own display: position 0 rad (0 of register 0202h, 0.0000 motor",
+        "compare: torque limit 3 N.m (3000 of register 0310h)",
+        "would set max_torque (register 0310h): 3000 → 1000 (x 0.001 rated)",
+        "would set mode_of_operation (register 0111h) to 10",
+        "would command torque_target (register 0100h) in every cycle, 0 first, within ±1000",
+        "would enable: 0006h, 0007h, 000Fh to controlword (register 0110h)",
+        "would stop: 2 to controlword (register 0110h)",
+    ):
+        assert said in done.stdout
     assert_safe_and_complete(link)
     assert tworelay("report", "last").returncode == 2, "and it is no run"
+
+
+def test_a_dry_run_shows_keys_and_pdo_mapping(
+    tworelay: Tworelay, serve: Serve, tmp_path: Path
+) -> None:
+    twin = ("--profile", "leadshine-el7", "--modbus-rtu-tcp", "127.0.0.1:0", "--clock", "step")
+    axis = tmp_path / "axis.toml"
+    link = serve("bench", *twin)[0]
+    axis.write_text(
+        f'link = "{link}"\nprofile = "leadshine-el7"\ntravel = 3.0\nrated_torque = 1.0\n'
+        "encoder = 131072\n"
+    )
+    done = tworelay("identify", str(axis), "--dry-run", "--without-watchdog", "--max-speed", "20")
+    assert done.returncode == 0, done.stderr
+    assert "would enable: 131 to input_1_function (register 0401h)" in done.stdout
+    assert "would stop: 64 to position_control (register 6002h)" in done.stdout
+    link = serve("bench", *WIRES["socketcand"], "--clock", "step")[0]
+    done = tworelay("identify", link, "--travel", "3", "--dry-run")
+    assert done.returncode == 0, done.stderr
+    assert "(of the bus): 0h → 60710010h, and put it back" in done.stdout
 
 
 def test_real_adapters_are_refused_in_ci_before_they_are_touched(

@@ -14,7 +14,7 @@ import pytest
 from drivers.canopen.bus import CanopenBus
 from drivers.canopen.wire import CanWire
 from drivers.pace import WallPace
-from profiles.library import load_profile
+from profiles.library import builtin_names, load_profile
 
 # CiA 301 7.2.4.3: 2Fh one byte, 2Bh two, 23h four; index and value with the low byte first
 STANDARD = [
@@ -33,6 +33,7 @@ REACTIONS = [
     ("quick_stop_option", 2, "2B 5A 60 00 02 00 00 00"),
 ]
 TORQUE_LIMIT = [("max_torque", 1000, "2B 72 60 00 E8 03 00 00")]
+CURRENT_LIMIT = [("max_current", 1000, "2B 73 60 00 E8 03 00 00")]
 FRAMES: dict[str, list[tuple[str, int, str]]] = {
     "cia402": [*STANDARD, *REACTIONS, *TORQUE_LIMIT, ("torque_offset", -5,
     "2B B2 60 00 FB FF 00 00")],
@@ -48,17 +49,37 @@ FRAMES: dict[str, list[tuple[str, int, str]]] = {
         *STANDARD, *TORQUE_LIMIT, ("torque_slope", 10000, "23 87 60 00 10 27 00 00"),
         ("torque_offset", -5, "23 B2 60 00 FB FF FF FF"),  # 60B2h is I32 here
     ],
-    # AKD parameter guide: IL.FRICTION 3422h, IL.OFFSET 3423h, both sub 0
+    # AKD parameter guide: IL.FRICTION 3422h, IL.OFFSET 3423h, both sub 0; its torque limit is 6073h
     "kollmorgen-akd": [
-        *STANDARD, *REACTIONS, *TORQUE_LIMIT,
+        *STANDARD, *REACTIONS, *CURRENT_LIMIT,
         ("friction", 170, "23 22 34 00 AA 00 00 00"),
         ("current_offset", -50, "23 23 34 00 CE FF FF FF"),
     ],
-    # AX2000 ASCII reference: ISTFR 36A4h, VSTFR 36A5h, I32 weighted by 1000
+    # AX2000 ASCII reference: ISTFR 36A4h, VSTFR 36A5h, T 360Eh, OPMODE 35B4h, IPEAK 356Eh, IPEAKN
+    # 356Fh; objects above 3500h have their value behind sub-index 1, and I32 weighted by 1000
     "beckhoff-ax2000": [
-        *STANDARD, *REACTIONS, *TORQUE_LIMIT,
-        ("friction_current", 1500, "23 A4 36 00 DC 05 00 00"),
-        ("friction_speed", 230_000, "23 A5 36 00 70 82 03 00"),
+        *STANDARD[:2], STANDARD[-2], STANDARD[-1],
+        ("mode_of_operation", 2, "2F B4 35 01 02 00 00 00"),
+        ("torque_target", 1500, "23 0E 36 01 DC 05 00 00"),
+        ("torque_target", -1500, "23 0E 36 01 24 FA FF FF"),
+        ("peak_current", 4000, "23 6E 35 01 A0 0F 00 00"),
+        ("negative_peak_current", -4000, "23 6F 35 01 60 F0 FF FF"),
+        ("friction_current", 1500, "23 A4 36 01 DC 05 00 00"),
+        ("friction_speed", 230_000, "23 A5 36 01 70 82 03 00"),
+    ],
+    # S300/S700 CANopen manual: 6071h, 6073h, life guarding 100Ch x 100Dh, and the same two objects
+    "kollmorgen-s300": [
+        *STANDARD, *CURRENT_LIMIT,
+        ("guard_time", 20, "2B 0C 10 00 14 00 00 00"),
+        ("life_factor", 3, "2F 0D 10 00 03 00 00 00"),
+        ("friction_current", 1500, "23 A4 36 01 DC 05 00 00"),
+        ("friction_speed", 230_000, "23 A5 36 01 70 82 03 00"),
+    ],
+    # C5-E object descriptions: the set-point is 0 before 'save', 6087h U32, 60B2h I16
+    "nanotec-c5e": [
+        *STANDARD, *REACTIONS, *TORQUE_LIMIT, ("torque_target", 0, "2B 71 60 00 00 00 00 00"),
+        ("torque_slope", 100_000, "23 87 60 00 A0 86 01 00"),
+        ("torque_offset", -5, "2B B2 60 00 FB FF 00 00"),
     ],
     # Lexium 32: index 3000h + I, sub S; CTRL1_Kfric I 18 S 16, CTRL_SpdFric I 17 S 9, PAReeprSave I
     # 4 S 1
@@ -108,6 +129,11 @@ def node() -> Iterator[tuple[Any, Server]]:
     yield bus, server
     bus.shutdown()
     server.close()
+
+
+def test_every_canopen_profile_of_a_real_drive_is_here() -> None:
+    profiles = map(load_profile, builtin_names())
+    assert {p.name for p in profiles if p.bus == "canopen" and p.status != "virtual"} == {*FRAMES}
 
 
 @pytest.mark.parametrize("name", FRAMES)

@@ -45,7 +45,14 @@ FRAMES: dict[str, list[tuple[str, int | None, str]]] = {
         ("torque_target", 250, "10 1B 20 00 02 04 00 00 00 FA"),  # 6944
         ("torque_target", -250, "10 1B 20 00 02 04 FF FF FF 06"),
         ("torque_ramp", 0, "10 06 58 00 02 04 00 00 00 00"),  # 1624
-        ("access_lock", 1, "10 01 3C 00 02 04 00 00 00 01"),  # index 1, sub 30
+        ("access_lock", 1, "10 01 1C 00 02 04 00 00 00 01"),  # index 1, sub 14: 284
+        ("own_friction", READ, "03 2F 0E 00 02"),  # 12046
+        ("active_set", READ, "03 11 2E 00 02"),  # 4398
+        ("modulo", READ, "03 06 70 00 02"),  # 1648
+        ("velocity_denominator", READ, "03 06 42 00 02"),  # 1602
+        ("velocity_numerator", READ, "03 06 44 00 02"),  # 1604
+        ("swapped_for_1", READ, "03 44 A0 00 02"),  # 17568
+        ("swapped_for_4", READ, "03 44 A6 00 02"),  # 17574
         ("friction", 170, "10 12 20 00 02 04 00 00 00 AA"),  # 4640
         ("friction_speed", 5, "10 11 12 00 02 04 00 00 00 05"),  # 4370
         ("max_current", 600, "10 11 18 00 02 04 00 00 02 58"),  # 4376
@@ -91,6 +98,10 @@ FRAMES: dict[str, list[tuple[str, int | None, str]]] = {
         ("torque_selection", 0, "06 06 02 00 00"),  # P06.02
         ("max_torque", 1000, "06 06 08 03 E8"),  # P06.08
         ("max_speed", 3000, "06 06 0F 0B B8"),  # P06.15
+        ("max_torque_negative", 1000, "06 06 09 03 E8"),  # P06.09
+        ("max_speed_negative", 3000, "06 06 10 0B B8"),  # P06.16
+        ("position_factor", READ, "03 04 07 00 02"),  # P04.07
+        ("position_divisor", READ, "03 04 09 00 02"),  # P04.09
         ("eeprom_writes", 0, "06 0A 04 00 00"),  # P10.04
         ("emergency_stop", 1, "06 0B 0D 00 01"),  # P11.13
         ("fault_reset", 1, "06 0B 01 00 01"),  # P11.01

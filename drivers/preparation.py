@@ -13,7 +13,7 @@ from drivers.described import Parameters
 from drivers.errors import AccessDenied, PreflightRefused
 from drivers.modes import Modes, SetPoint
 from profiles.parameter import Access, Protection
-from profiles.procedures import Mode
+from profiles.procedures import Mode, Step
 
 __all__ = ["Preparation"]
 
@@ -181,6 +181,18 @@ class Preparation:
                 found[step.write] = (*found.get(step.write, ()), step.raw)
         return found
 
+    def procedures(self) -> dict[str, tuple[Step, ...]]:
+        """What enables, stops and disables the drive, and acknowledges a fault."""
+        profile, power = self._profile, self._profile.power
+        enable = power.enable if power else _told(
+            cia402.SHUTDOWN, cia402.SWITCH_ON, cia402.ENABLE
+        )  # fmt: skip
+        reset = power.reset if power else _told(0, cia402.FAULT_RESET, 0)
+        return {
+            "enable": enable, "stop": profile.stop, "disable": profile.disable,
+            "acknowledge a fault": reset,
+        }  # fmt: skip
+
     def left_by_a_stop(self) -> dict[str, int]:
         """What the stop path leaves in registers that the machine uses, too."""
         found: dict[str, int] = {}
@@ -200,3 +212,8 @@ class Preparation:
     def put_back_bus(self, old: dict[str, int]) -> bool:
         """Write back what `bus` named. False: all was as before."""
         return self._access.bus.put_back(old)
+
+
+def _told(*words: int) -> tuple[Step, ...]:
+    """Controlwords, one after the other."""
+    return tuple(Step(write="controlword", raw=word) for word in words)

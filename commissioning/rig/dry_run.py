@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from commissioning.rig.preflight import POSITION, TORQUE, Limits, writes
-from drivers import cia402
 from drivers.drive import Drive
 from profiles.axis import Axis
 from profiles.procedures import Mode, Step
@@ -36,19 +35,9 @@ def would_write(drive: Drive, axis: Axis, limits: Limits) -> Iterator[str]:
         f"would command {TORQUE} ({target.address}) in every cycle, 0 first, within ±{most} "
         f"(x {target.raw_unit}, ±{limits.torque:.4g} {axis.effort_unit})"
     )
-    profile, power = drive.profile, drive.profile.power
-    if power is None:
-        word = drive.parameters["controlword"].address
-        told = cia402.SHUTDOWN, cia402.SWITCH_ON, cia402.ENABLE
-        yield f"would enable: {', '.join(f'{raw:04X}h' for raw in told)} to controlword ({word})"
-        reset = f"{cia402.FAULT_RESET:04X}h to controlword ({word})"
-    else:
-        yield f"would enable: {_steps(drive, power.enable)}"
-        reset = _steps(drive, power.reset)
-    yield f"would stop: {_steps(drive, profile.stop)}"
-    yield f"would disable: {_steps(drive, profile.disable)}"
-    if reset:
-        yield f"would acknowledge the fault that the proof of the watchdog makes: {reset}"
+    for what, steps in drive.preparation.procedures().items():
+        if steps:
+            yield f"would {what}: {_steps(drive, steps)}"
     for name, (old, new) in drive.preparation.bus().items():
         if old != new:
             yield f"would set {name} (of the bus): {old:X}h → {new:X}h, and put it back"

@@ -18,15 +18,19 @@ from commissioning.settings import Settings
 from drivers.drive import DriveSays, Value
 from drivers.errors import DriveFault, LinkError, PreflightRefused
 from drivers.link import axis_of, open_drive
+from drivers.modbus.bus import ModbusBus
 from drivers.profiled import ProfiledDrive
 from drivers.sample import Sample
+from drivers.twinned import Twinned, open_twin
 from profiles.axis import Axis, AxisLimits
 from profiles.errors import UsageError
+from profiles.library import load_profile, read_profile
 from profiles.procedures import Mode
 from profiles.schema import Profile
 from tests.raising import raises
 
 AXIS = axis_of("virtual://bench")
+EVERYTHING = Path(__file__).parents[1] / "performance" / "everything.toml"
 COUNT = 6.283185307179586 / 131072  # rad
 
 
@@ -83,6 +87,44 @@ def test_a_cycle_must_fit_into_the_watchdog_three_times(drive: ProfiledDrive) ->
     without = drive.profile.watchdog.model_copy(update={"kind": "none"})
     changed(drive, watchdog=without)
     look(drive, AXIS)
+
+
+def everything() -> Twinned:
+    """A drive with limits of each direction."""
+    return open_twin(read_profile(str(EVERYTHING)), Axis(name="x", travel=3.0))
+
+
+def test_each_direction_has_its_limit_and_the_lower_one_counts() -> None:
+    """The twin's are 3 N.m up and down, the latter counted below zero, and 2865 rpm."""
+    drive = everything().drive
+    limits = choose_limits(drive, AXIS, Options(travel=3.0, max_torque=0.5, max_speed=20.0))
+    set_ = writes(drive, limits)
+    assert (set_["torque_up"], set_["torque_down"]) == (500, -500)
+    assert set_["speed_up"] == set_["speed_down"] > 0
+    drive.write("torque_down", -400)
+    with raises(PreflightRefused, "preflight.torque"):  # 0.5 N.m is above 0.4 N.m
+        choose_limits(drive, AXIS, Options(travel=3.0, max_torque=0.5, max_speed=20.0))
+    assert choose_limits(drive, AXIS, Options(travel=3.0, max_speed=20.0)).torque == 0.4
+
+
+def test_a_drive_that_swaps_words_for_this_computer_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Lexium 32: registers 17568, 17570, 17572, 17574 hold the address of that master."""
+    twinned = open_twin(load_profile("lexium-32-modbus"), Axis(name="x", travel=3.0, encoder=16384))
+    drive, names = twinned.drive, [f"swapped_for_{n}" for n in (1, 2, 3, 4)]
+    monkeypatch.setattr(ModbusBus, "own_address", lambda self: "192.168.1.20")
+    drive.preparation.check_requirements()
+    for values, refused in (
+        ((192, 168, 1, 20), True), ((192, 168, 1, 21), False),
+        (tuple(n << 16 for n in (192, 168, 1, 20)), True),  # it has swapped these already
+    ):  # fmt: skip
+        twinned.witness.forced |= dict(zip(names, values, strict=True))
+        if refused:
+            with raises(PreflightRefused, "preflight.word-order"):
+                drive.preparation.check_requirements()
+        else:
+            drive.preparation.check_requirements()
 
 
 def test_another_master_is_named(drive: ProfiledDrive, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -233,7 +233,7 @@ def test_a_dry_run_writes_and_moves_nothing(tworelay: Tworelay, serve: Serve) ->
         "would set max_torque (register 0310h): 3000 → 1000 (x 0.001 rated)",
         "would set mode_of_operation (register 0111h) to 10",
         "would command torque_target (register 0100h) in every cycle, 0 first, within ±1000",
-        "would enable: 0006h, 0007h, 000Fh to controlword (register 0110h)",
+        "would enable: 6 to controlword (register 0110h), 7 to controlword",
         "would stop: 2 to controlword (register 0110h)",
     ):
         assert said in done.stdout

@@ -31,7 +31,8 @@ __all__ = ["Desk", "Options", "begin_run", "connect", "none_unfinished", "same_d
 class Options:
     """What the user asks for; None: take the axis', the drive's or the product's own.
 
-    `serial`: which drive it has to be. `motor_temperature`: °C, where the drive tells none.
+    `writes`: what is found will be written at once. `serial`: which drive it has to be.
+    `motor_temperature`: °C, where the drive tells none.
     """
 
     travel: float | None = None
@@ -48,6 +49,7 @@ class Options:
     cycle: float | None = None
     without_watchdog: bool = False
     dry_run: bool = False
+    writes: bool = False
     serial: str | None = None
     motor_temperature: float | None = None
 

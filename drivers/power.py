@@ -349,10 +349,27 @@ class ProcedurePower:
                     code="power.fault",
                 )
             if waited >= self._patience:
+                told = self._told(enabled=enabled)
                 raise PreflightRefused(
-                    _stuck(self.said().text, self._patience, enabled=enabled), code="power.stuck"
+                    _stuck(self.said().text, self._patience, enabled=enabled, told=told),
+                    code="power.stuck",
                 )
             waited += self._turn(frame)
+
+    def _told(self, *, enabled: bool) -> str:
+        """What was written, and what its sign reads, for those who doubt the profile."""
+        steps = self._power.enable if enabled else self._profile.disable
+        written = ", ".join(
+            f"{step.raw:X}h to '{step.write}' ({self._profile.parameters[step.write].address})"
+            for step in steps
+            if step.write is not None and step.raw is not None
+        )
+        sign = self._power.enabled
+        there = self._bus.read(self._profile.parameters[sign.parameter].address)
+        return (
+            f"; written were {written}, and '{sign.parameter}' reads {there:X}h, of which the bits "
+            f"{sign.mask & 0xFFFF:X}h {sign} when it is enabled: is that so, and in this order?"
+        )
 
     def _perform(self, steps: tuple[Step, ...], what: str, wait: Callable[[], float]) -> None:
         perform(self._bus, self._profile, steps, what, wait)
@@ -385,9 +402,9 @@ class ProcedurePower:
         return status
 
 
-def _stuck(here: str, patience: float, *, enabled: bool) -> str:
+def _stuck(here: str, patience: float, *, enabled: bool, told: str = "") -> str:
     goal = "enabled" if enabled else "disabled"
     return (
-        f"the drive does not become {goal}: it stays '{here}' for {patience:g} s (STO or enable "
-        "input open, or no mains? If it needs longer: [patience] enable in its profile)"
+        f"the drive does not become {goal}: it stays '{here}' for {patience:g} s{told} (STO or "
+        "enable input open, or no mains? If it needs longer: [patience] enable in its profile)"
     )

@@ -13,8 +13,8 @@ __all__ = ["WhyNot", "reasons_not_written", "why_not_written"]
 _FOR_GOOD = Protection.COMPENSATION, Protection.GAIN
 _SETTINGS = Protection.EXPERIMENT, *_FOR_GOOD
 _CHECK = (
-    "check the drive's manual, mark it verified in a copy of the profile (tworelay profile show), "
-    "and identify with that"
+    "check the drive's manual, and mark it verified in a copy of the profile (tworelay profile "
+    "show), or in the register table (trust); derived, where other values confirm it"
 )
 _GEAR = (
     "give gear (motor revolutions per revolution of its output; 1 where there is none) in "

@@ -187,6 +187,11 @@ class Compensation(Strict):
         return found
 
     @property
+    def written(self) -> tuple[str, ...]:
+        """Parameters that `apply` writes; the others stay as they are in the drive."""
+        return tuple(self.values(Amount(1.0, 1.0, 1.0, "", 1.0)))
+
+    @property
     def friction(self) -> frozenset[str]:
         """Parameters that hold friction: of these a share can be tried, the others stay whole."""
         named = {getattr(self, name) for name, term in _TERMS.items() if term.is_friction}

@@ -219,7 +219,7 @@ def check(profile: Profile) -> list[Finding]:
     found += [
         Finding("warning", f"[parameters.{name}] is written by apply but unverified")
         for name in (
-            *profile.compensation.terms.values(),
+            *profile.compensation.written,
             *(profile.loops.terms.values() if profile.loops else ()),
         )
         if profile.parameters[name].trust == "unverified"

@@ -63,19 +63,59 @@ def from_table(rows: list[Row], title: str, origin: str) -> Draft:
         document["conditions"] = {"motor_temperature": "motor_temperature"}
     document["compensation"] = _compensation(found)
     document["parameters"] = parameters
+    unsaid = [
+        row.name for row in found.values()
+        if "32" in row.cells.get("type", "") and "word_order" not in row.cells
+    ]  # fmt: skip
+    if unsaid:
+        notes.append(f"no word_order, taken as high-first: {', '.join(unsaid)}")
+    doubted = [name for name in document["compensation"].values() if name in found
+               and "trust" not in found[name].cells]  # fmt: skip
+    if doubted:
+        notes.append(
+            f"no trust for {', '.join(doubted)}: unverified, so apply will refuse to write; once "
+            "checked in the manual, 'trust' verified (or derived) in their rows"
+        )
     notes += _notes(found)
     return Draft(tomlkit.dumps(document), tuple(notes))
 
 
 def _unknown(row: Row) -> str:
     """What tworelay has no use for, and what was probably meant."""
-    near = difflib.get_close_matches(row.name, NAMES, 1)
-    meant = f": is it '{near[0]}'?" if near else ""
+    near = _nearest(row.name)
+    meant = f": is it '{near}'?" if near else ""
     return (
         f"{row.where}: '{row.name}' is no name that tworelay knows{meant} (there are "
         f"{', '.join(NAMES)}; any other register has to say in 'before' what is written to it "
         "before the torque mode is enabled)"
     )
+
+
+_SYNONYMS = {
+    "forward": "positive", "fwd": "positive", "pos": "positive", "up": "positive", "cw": "positive",
+    "backward": "negative", "reverse": "negative", "rev": "negative", "neg": "negative",
+    "down": "negative", "ccw": "negative", "velocity": "speed", "status": "drive_status",
+    "state": "drive_status", "save": "store", "command": "target", "cmd": "target",
+    "setpoint": "target", "limit": "max", "resolution": "increments", "feedback": "actual",
+    "timeout": "watchdog", "nominal": "rated", "serial": "serial_number", "reset": "fault_reset",
+}  # fmt: skip
+_ALIKE = 0.5  # share of words that two names have in common
+
+
+def _nearest(name: str) -> str:
+    """The name that was probably meant, by its words, in whatever order; else by its letters."""
+    words = set("_".join(_SYNONYMS.get(word, word) for word in name.split("_")).split("_"))
+    if "friction" in words and words & {"positive", "negative"}:
+        words = words - {"friction"} | {"coulomb"}
+
+    def shared(known: str) -> float:
+        there = set(known.split("_"))
+        return len(there & words) / len(there | words)
+
+    best = max(NAMES, key=shared)
+    if shared(best) >= _ALIKE:
+        return best
+    return next(iter(difflib.get_close_matches(name, NAMES, 1)), "")
 
 
 def _parameter(row: Row, notes: list[str]) -> dict[str, Any]:

@@ -89,6 +89,11 @@ class Row:
 
     def _number(self, column: str, text: str) -> int:
         digits = re.fullmatch(r"([+-]?)(?:0x([0-9a-f]+)|([0-9a-f]+)h|(\d+))", text, re.IGNORECASE)
+        if re.fullmatch(r"0\d+", text):
+            raise ProfileError(
+                f"{self.where}: {column} '{text}': is it hexadecimal ({text}h) or decimal "
+                f"({text.lstrip('0') or '0'})?"
+            )
         if digits is None or len(text) > 12:
             raise ProfileError(
                 f"{self.where}: {column} '{text[:40]}' must be a number such as 813, 0x32D or 32Dh"

@@ -42,7 +42,7 @@ def command(target: str, job: Job) -> None:
     screen = Screen(job.json_target, yes=job.yes)
     axis = job.axis(target)
     with owned(axis.link or "virtual://", "commission"):  # from the first step to the last
-        result = measure(target, screen, job)
+        result = measure(target, screen, job, writes=True)
         if job.dry_run:
             write_json(result, job.json_target)
             return

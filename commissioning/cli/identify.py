@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import click
@@ -43,14 +44,17 @@ def command(target: str, job: Job) -> None:
     show.ending(result, screen)
 
 
-def measure(target: str, screen: Screen, job: Job) -> RunResult:
-    """Run the experiments; on failure write the JSON too, then raise."""
+def measure(target: str, screen: Screen, job: Job, *, writes: bool = False) -> RunResult:
+    """Run the experiments; on failure write the JSON too, then raise.
+
+    `writes` : what is found will be written at once
+    """
     from commissioning.cli import show
     from commissioning.cli.tracing import tracer
     from commissioning.rig.armed import Failure
     from commissioning.session.identify import identify
 
-    axis, options = job.axis(target), job.options()
+    axis, options = job.axis(target), replace(job.options(), writes=writes)
     with tracer(job.trace, axis.link) as trace, at_desk(screen, trace) as desk:
         try:
             with screen.working(f"{axis.name}: measuring"):

@@ -33,8 +33,9 @@ from commissioning.runs import RunFolder
 from commissioning.samples import Samples
 from commissioning.settings import Settings
 from drivers.drive import Drive
+from drivers.writing import why_not_written
 from profiles.axis import Axis
-from profiles.errors import IdentityMismatch, TwoRelayError
+from profiles.errors import IdentityMismatch, Refused, TwoRelayError
 from profiles.library import source_of
 
 __all__ = ["Failure", "Work", "fit", "in_a_run", "noted"]
@@ -113,7 +114,22 @@ def fit(axis: Axis, options: Options, desk: Desk, drive: Drive) -> preflight.Lim
     none_unfinished(desk, serial, drive.link)
     look(drive, axis)
     check_watchdog(drive, without=options.without_watchdog)
+    if options.writes:
+        _may_be_written(drive)
     return choose_limits(drive, axis, options)
+
+
+def _may_be_written(drive: Drive) -> None:
+    """Raise Refused where the compensation may not be written: known before anything moves."""
+    for name in drive.compensation.written:
+        why = why_not_written(drive.parameters[name])
+        if why is not None:
+            raise Refused(
+                f"{why.text}, so that what is measured could not be written: nothing was moved",
+                code=why.code,
+                hint=f"{why.hint}; 'tworelay identify' only measures",
+                parameter=name,
+            )
 
 
 def _begun(

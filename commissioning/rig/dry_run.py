@@ -25,6 +25,11 @@ def would_write(drive: Drive, axis: Axis, limits: Limits) -> Iterator[str]:
                 f"would set {name} ({what.address}): {there} → {raw} (x {what.raw_unit}), and put "
                 "it back"
             )
+    if "speed" in drive.limits:
+        yield (
+            f"(the speed limit is that low until the stop path is proved; then up to "
+            f"{limits.speed:.4g} {axis.position_unit}/s)"
+        )
     code = drive.preparation.code_of(Mode.TORQUE)
     if code is not None:
         mode = drive.parameters["mode_of_operation"]
@@ -35,9 +40,9 @@ def would_write(drive: Drive, axis: Axis, limits: Limits) -> Iterator[str]:
         f"would command {TORQUE} ({target.address}) in every cycle, 0 first, within ±{most} "
         f"(x {target.raw_unit}, ±{limits.torque:.4g} {axis.effort_unit})"
     )
-    for what, steps in drive.preparation.procedures().items():
+    for act, steps in drive.preparation.procedures().items():
         if steps:
-            yield f"would {what}: {_steps(drive, steps)}"
+            yield f"would {act}: {_steps(drive, steps)}"
     for name, (old, new) in drive.preparation.bus().items():
         if old != new:
             yield f"would set {name} (of the bus): {old:X}h → {new:X}h, and put it back"
@@ -54,11 +59,10 @@ def _to_compare(drive: Drive, axis: Axis, limits: Limits) -> Iterator[str]:
         f"{limits.rated:.4g} {e} at the axis"
     )
     for kind, name in drive.limits.items():
-        there = drive.read(name)
-        what = drive.parameters[name]
+        there, by = drive.read(name), drive.parameters[name]
         yield (
-            f"compare: {kind.replace('_', ' ')} limit {there.si:.4g} {what.unit} ({there.raw} of "
-            f"{what.address})"
+            f"compare: {kind.replace('_', ' ')} limit {there.si:.4g} {by.unit} ({there.raw} of "
+            f"{by.address})"
         )
 
 
@@ -67,7 +71,15 @@ def _steps(drive: Drive, steps: tuple[Step, ...]) -> str:
     told = []
     for step in steps:
         if step.write is not None:
-            told.append(f"{step.raw} to {step.write} ({drive.parameters[step.write].address})")
+            told.append(
+                f"{_raw(step.raw)} to {step.write} ({drive.parameters[step.write].address})"
+            )
         elif step.until is not None:
             told.append(f"until {step.until} reads {step.equals}")
     return ", ".join(told)
+
+
+def _raw(value: int | None) -> str:
+    """As manuals have it: 5A5Ah, and small numbers plainly."""
+    number = value or 0
+    return str(number) if 0 <= number < 10 else f"{number:X}h" if number > 0 else str(number)

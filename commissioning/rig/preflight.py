@@ -168,7 +168,9 @@ def _travel(drive: Drive, axis: Axis, options: Options) -> float:
             value=travel,
             limit=_FEWEST_COUNTS * count,
             unit=axis.position_unit,
-            hint="give more --travel",
+            hint=f"give more --travel; or is the position's scale wrong (now "
+            f"{axis.mechanics.travel_per_revolution / count:.6g} counts a motor revolution: the "
+            "drive's encoder resolution, its word_order in the profile)?",
         )
     return travel
 

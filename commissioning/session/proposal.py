@@ -40,7 +40,8 @@ def _changes(
     if not law.terms:
         return (), []
     old = {name: drive.read(name).raw for name in law.terms.values()}
-    doubtful = [why for name in old if (why := why_not_written(drive.parameters[name]))]
+    whys = (why_not_written(drive.parameters[name]) for name in law.written)
+    doubtful = [why for why in whys if why is not None]
     if doubtful:
         ways = "; ".join(dict.fromkeys(why.hint for why in doubtful if why.hint))
         text = "; ".join(why.text for why in doubtful)

@@ -83,6 +83,13 @@ def test_a_cia_402_drive_counted_from_40001_with_commas() -> None:
             "coulmb_positive",
             "row 8: 'coulmb_positive' is no name that tworelay knows: is it 'coulomb_positive'?",
         ),
+        # by its words, in whatever order, and by what other makers call it
+        ("coulomb_positive", "friction_forward", "is it 'coulomb_positive'?"),
+        ("position_actual", "actual_position", "is it 'position_actual'?"),
+        ("torque_actual", "actual_torque", "is it 'torque_actual'?"),
+        ("drive_status", "status", "is it 'drive_status'?"),
+        ("coulomb_negative", "reverse_friction", "is it 'coulomb_negative'?"),
+        ("0605h", "0605", "register '0605': is it hexadecimal (0605h) or decimal (605)?"),
         ("u16;N.m;", "u16;Nm;", "row 7: unit 'Nm' is none of"),
         ("u16;N.m;", "u16;Nm;", "('N.m'?)"),
         ("i16;rated;0,001", "i16;%;0,001", "('rated'?)"),

@@ -17,6 +17,7 @@ from tomlkit.toml_document import TOMLDocument
 
 from profiles.eds import Eds, EdsEntry
 from profiles.errors import ProfileError
+from profiles.plain import plain
 
 __all__ = ["Draft", "from_eds"]
 
@@ -82,8 +83,9 @@ def from_eds(eds: Eds, template: str, origin: str) -> Draft:
     notes += [f"{text}: 1018h counts" for text in eds.differs]
     notes += _take_entries(document, eds)
     notes += _without_what_is_missing(document, eds)
-    notes += _candidates(eds) + _velocity(eds)
-    return Draft(tomlkit.dumps(document), tuple(notes))
+    candidates = _candidates(eds)
+    notes += _told(candidates) + _velocity(eds)
+    return Draft(tomlkit.dumps(document) + _described(candidates), tuple(notes))
 
 
 def _refuse(eds: Eds, origin: str) -> None:
@@ -209,7 +211,10 @@ def _without_what_is_missing(document: TOMLDocument, eds: Eds) -> list[str]:
             notes.append(f"no {key} limit in the drive ({name}): only the host limits it")
     if not has("torque_offset"):
         document["compensation"] = {"law": "none"}
-        notes.append("no 60B2h that can be written: friction cannot be compensated, only reported")
+        notes.append(
+            "no 60B2h that can be written: a master cannot add what is missing; the friction is "
+            "only reported, unless [compensation] says what the drive has of its own"
+        )
     if not has("store_command"):
         document.remove("store")
         notes.append("no 1010h:1: what is written is lost at power-off")
@@ -230,24 +235,69 @@ def _without_what_is_missing(document: TOMLDocument, eds: Eds) -> list[str]:
     return notes
 
 
-def _candidates(eds: Eds) -> list[str]:
-    """Objects of the manufacturer that may be the drive's friction compensation."""
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """An object of the maker that may be the drive's friction compensation."""
+
+    entry: EdsEntry
+    name: str
+
+    @property
+    def at(self) -> str:
+        entry = self.entry
+        return f"{entry.index:04X}h:{entry.sub:02X}" if entry.sub else f"{entry.index:04X}h"
+
+
+def _candidates(eds: Eds) -> list[_Candidate]:
     found = []
     for (index, sub), entry in sorted(eds.entries.items()):
         record = eds.records.get(index, "")
         named = f"{record}: {entry.name}" if record and sub else entry.name
-        if index not in _MANUFACTURER or not _FRICTION.search(named) or (record and not sub):
-            continue
-        at = f"{index:04X}h:{sub:02X}" if sub else f"{index:04X}h"
-        reads = ", read only" if entry.access == "ro" else ""
-        found.append(f"{at} '{named}' ({entry.type or 'no number'}{reads})")
-    if not found:
+        if index in _MANUFACTURER and _FRICTION.search(named) and (sub or not record):
+            found.append(_Candidate(entry, named))
+    return found
+
+
+def _told(candidates: list[_Candidate]) -> list[str]:
+    """Which there are."""
+    if not candidates:
         return []
-    more = f", and {len(found) - _MOST_CANDIDATES} more" if found[_MOST_CANDIDATES:] else ""
-    stands = "stands" if len(found) == 1 else "stand"
-    listed = ", ".join(found[:_MOST_CANDIDATES])
-    way = "describe in [compensation] what the drive has of its own"
+    listed = ", ".join(
+        f"{one.at} '{one.name}' ({one.entry.type or 'no number'}"
+        f"{', read only' if one.entry.access == 'ro' else ''})"
+        for one in candidates[:_MOST_CANDIDATES]
+    )
+    more = f", and {len(candidates) - _MOST_CANDIDATES} more" * (len(candidates) > _MOST_CANDIDATES)
+    stands = "stands" if len(candidates) == 1 else "stand"
+    way = "describe in [compensation] what the drive has of its own; the draft ends with them"
     return [f"{listed}{more} {stands} in the file; {way}"]
+
+
+def _described(candidates: list[_Candidate]) -> str:
+    """Parameters of those that can be written, for whoever knows what they are."""
+    lines = []
+    for one in candidates[:_MOST_CANDIDATES]:
+        entry = one.entry
+        if entry.access == "ro" or entry.type is None:
+            continue
+        name = profile_name(entry.name).replace("-", "_").replace(".", "_")
+        sub = f", sub = {entry.sub}" if entry.sub else ""
+        lines += [
+            f"# [parameters.{name}]",
+            f'# address = {{ index = 0x{entry.index:04X}{sub}, type = "{entry.type}" }}',
+            f'# title = "{plain(one.name).replace(chr(34), chr(39))}"',
+            '# unit = "rated"  # and scale: what one step is of it, by the manual',
+            "# scale = 0.001",
+            '# protection = "compensation"',
+            '# trust = "derived"  # once it is looked up',
+            "",
+        ]
+    if not lines:
+        return ""
+    head = (
+        "\n# objects of the maker that [compensation] may name, where the manual confirms them\n\n"
+    )
+    return head + "\n".join(lines)
 
 
 def _velocity(eds: Eds) -> list[str]:

@@ -15,6 +15,7 @@ from profiles.address import MailboxAddress, ModbusAddress
 from profiles.errors import IdentityMismatch, ProfileError, UnknownName
 from profiles.files import contents
 from profiles.identity import NOBODY, Identity
+from profiles.parameter import Protection
 from profiles.schema import Profile
 from profiles.toml_files import parse_model, parse_tree, read_text, validated
 
@@ -223,6 +224,16 @@ def check(profile: Profile) -> list[Finding]:
             *(profile.loops.terms.values() if profile.loops else ()),
         )
         if profile.parameters[name].trust == "unverified"
+    ]
+    named = set(profile.compensation.terms.values())
+    found += [
+        Finding(
+            "warning",
+            f"[parameters.{name}] has protection 'compensation', and no term of [compensation] "
+            "names it",
+        )
+        for name, parameter in profile.parameters.items()
+        if parameter.protection is Protection.COMPENSATION and name not in named
     ]
     if profile.compensation.terms:
         if not profile.compensation.acts_in:

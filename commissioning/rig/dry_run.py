@@ -18,12 +18,16 @@ def would_write(drive: Drive, axis: Axis, limits: Limits) -> Iterator[str]:
     And what is to be compared with the drive's own display first. Raises LinkError.
     """
     yield from _to_compare(drive, axis, limits)
+    yield from _law(drive)
     for name, raw in writes(drive, limits).items():
         there, what = drive.read(name).raw, drive.parameters[name]
         if there != raw:
+            node = ""
+            if name == drive.watchdog.parameter and drive.watchdog.kind == "heartbeat":
+                node = f", that is node {raw >> 16}, {raw & 0xFFFF} ms"  # CiA 301, object 1016h
             yield (
-                f"would set {name} ({what.address}): {there} → {raw} (x {what.raw_unit}), and put "
-                "it back"
+                f"would set {name} ({what.address}): {there} → {raw} (x {what.raw_unit}{node}), "
+                "and put it back"
             )
     if "speed" in drive.limits:
         yield (
@@ -63,6 +67,17 @@ def _to_compare(drive: Drive, axis: Axis, limits: Limits) -> Iterator[str]:
         yield (
             f"compare: {kind.replace('_', ' ')} limit {there.si:.4g} {by.unit} ({there.raw} of "
             f"{by.address})"
+        )
+
+
+def _law(drive: Drive) -> Iterator[str]:
+    """Where the friction compensation is, and what stands there."""
+    law = drive.compensation
+    for term, name in law.terms.items():
+        there, by = drive.read(name), drive.parameters[name]
+        yield (
+            f"compare: {term} of the compensation, {name} ({by.address}, {by.parameter.title}) "
+            f"reads {there.raw}, that is {there.si:.4g} {by.unit}"
         )
 
 

@@ -11,7 +11,14 @@ from commissioning.interruption import Interruption
 from commissioning.runner import verified
 from commissioning.settings import Settings
 from drivers.drive import Drive
-from drivers.errors import DriveEnabled, DriveFault, LinkError, PreflightRefused, WriteDenied
+from drivers.errors import (
+    AccessDenied,
+    DriveEnabled,
+    DriveFault,
+    LinkError,
+    PreflightRefused,
+    WriteDenied,
+)
 from profiles.axis import Axis
 from profiles.errors import UsageError
 from profiles.procedures import Mode
@@ -96,9 +103,9 @@ def look(drive: Drive, axis: Axis) -> None:
         )
     drive.preparation.check_requirements()
     drive.preparation.settings(Mode.TORQUE)  # refuses a drive without torque mode
-    law = drive.compensation
+    law, there = drive.compensation, _compensation(drive)
     if Mode.TORQUE in law.acts_in:
-        active = [name for name in law.terms.values() if drive.read(name).raw != 0]
+        active = [name for name, raw in there.items() if raw != 0]
         if active:
             raise PreflightRefused(
                 f"this drive's compensation acts in torque mode too, and {', '.join(active)} is "
@@ -113,6 +120,27 @@ def look(drive: Drive, axis: Axis) -> None:
             code="preflight.not-at-rest",
             hint="bring it to rest first",
         )
+
+
+def _compensation(drive: Drive) -> dict[str, int]:
+    """What the terms of the drive's law read; raises PreflightRefused where one cannot be read.
+
+    After the motion would be too late to learn that an address is wrong.
+    """
+    found = {}
+    for name in drive.compensation.terms.values():
+        try:
+            found[name] = drive.read(name).raw
+        except AccessDenied as denied:
+            if denied.busy:
+                raise
+            raise PreflightRefused(
+                f"the drive does not have its compensation where its profile says: {denied}",
+                code="preflight.compensation-address",
+                hint=f"look '{name}' up in its manual; nothing was moved",
+                parameter=name,
+            ) from None
+    return found
 
 
 def still_moving(drive: Drive, patience: float = _TIME_TO_REST) -> float:

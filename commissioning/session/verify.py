@@ -39,6 +39,7 @@ __all__ = ["Wishes", "provable", "verify"]
 _STEPS = 0.5, 0.7  # of the friction; then the fraction of the run
 _HARMFUL_RISE = 1.05  # of the error before, and
 _HARMFUL_COUNTS = 2.0  # counts more: from here on a step does harm
+_EXPECTED_SHARE = 0.6  # of the share that is compensated, in the error that goes with it
 _TRACE_POINTS = 400  # points of a trace
 
 Raw = dict[str, int]
@@ -116,6 +117,10 @@ def verify(
                 raise
             result = replace(result, notes=(*result.notes, *notes))
             result = _proved(result, drive, steps, kept)
+            doubt = _little(result.verification)
+            if doubt:
+                desk.tell(doubt)
+                result = replace(result, notes=(*result.notes, doubt))
             useless = None if kept else _no_help(result, steps)
             curves = {f"verify.{number}": step.trace for number, step in enumerate(steps)}
             result = close_act(desk, folder, result, axis_state(drive, axis), useless, curves)
@@ -156,6 +161,19 @@ def _proved(result: RunResult, drive: Drive, steps: list[_Step], kept: _Step | N
         written=(*others, *written),
         status="completed",
         error=None,
+    )
+
+
+def _little(found: Verification | None) -> str:
+    """What to look at where it helps, and less than that much compensation should; ''."""
+    if found is None or found.kept_fraction is None or found.percent is None:
+        return ""
+    if found.percent >= 100 * _EXPECTED_SHARE * found.kept_fraction:
+        return ""
+    return (
+        f"{found.percent:.0f} % less error is little for {100 * found.kept_fraction:g} % of the "
+        "friction: does each term of [compensation] stand at its own address, in its unit, and for "
+        "both directions?"
     )
 
 

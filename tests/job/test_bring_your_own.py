@@ -112,6 +112,7 @@ def test_a_canopen_drive_with_friction_objects_of_its_own(
     done = tworelay("profile", "new", "--eds", str(FOREIGN / "p7.eds"), "--output", str(profile))
     assert done.returncode == 0, done.stderr
     assert "2F10h:02 'Friction compensation: Positive direction' (u16)" in done.stdout
+    assert '# address = { index = 0x2F10, sub = 3, type = "u16" }' in profile.read_text("utf-8")
     rest, law, _ = profile.read_text("utf-8").partition("[compensation]")
     assert law, "a drive without 60B2h has no host law, and says so"
     _, _, after = profile.read_text("utf-8").partition('law = "none"')
@@ -125,9 +126,19 @@ def test_a_canopen_drive_with_friction_objects_of_its_own(
     profile.write_text(rest + described, "utf-8")
     assert load_profile(str(profile)).compensation.law == "offset+asymmetric"
     assert tworelay("profile", "check", str(profile)).returncode == 0
-    link = served(
-        serve, "pellworth", "--socketcand", "127.0.0.1:0", "--habit", "feed=65536"
-    )  # position units by 6092h, and 1029h as CiA 301 has it
+    # position units by 6092h, and 1029h as CiA 301 has it
+    wire = "--socketcand", "127.0.0.1:0", "--habit", "feed=65536"
+    link = served(serve, "pellworth", *wire)
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text(profile.read_text("utf-8").replace("sub = 3, type", "sub = 4, type"), "utf-8")
+    done = tworelay("identify", link, "--profile", str(wrong), "--travel", "3", "--yes")
+    assert done.returncode == 3
+    assert "the drive does not have its compensation where its profile says" in done.stderr
+    assert "2F10h:04" in done.stderr
+    assert "torque ramp" not in done.stdout
+    done = tworelay("identify", link, "--profile", str(profile), "--travel", "3", "--dry-run")
+    assert "positive of the compensation, friction_positive (2F10h:02, " in done.stdout
+    assert "that is node 127, 50 ms" in done.stdout
     done = tworelay("commission", link, "--profile", str(profile), "--travel", "3", "--yes")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "less error after reversals with 85 % of the friction compensated" in done.stdout

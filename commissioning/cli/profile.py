@@ -160,7 +160,7 @@ def _asked(name: str) -> Draft:
     say("Registers as on the wire (813, 0x32D or 32Dh). Enter alone: the drive has none.")
     title = click.prompt("name of the drive", default=name)
     is_cia402 = click.confirm("does it have a controlword (CiA 402)?", default=False)
-    left_out = ("servo_on", "drive_status", "alarm") if is_cia402 else _CIA402
+    left_out = _BY_PROCEDURE if is_cia402 else _CIA402
     rows = []
     for known, (unit, _, what) in NAMES.items():
         if known in left_out:
@@ -188,17 +188,28 @@ def _type(name: str) -> str:
     return "i16" if name.startswith(("torque", "coulomb")) else "u16"
 
 
-_CIA402 = ("controlword", "statusword", "mode_of_operation", "mode_display")
+_CIA402 = ("controlword", "statusword")
+_BY_PROCEDURE = ("servo_on", "servo_on_2", "drive_status", "alarm", "fault_reset")
 _QUESTIONS = {
     "servo_on": (
-        ("on", "written to enable"),
+        ("on", "written to enable (keys one after the other: 0x55 0xAA)"),
         ("off", "written to disable"),
         ("stop", "written for a quick stop (Enter: there is none)"),
         ("reset", "written to acknowledge a fault (Enter: there is none)"),
     ),
+    "servo_on_2": (("on", "written to enable"), ("off", "written to disable")),
     "drive_status": (
-        ("mask", "bits that show that it is enabled (0xFFFF: all)"),
-        ("on", "what these bits then read"),
-        ("fault", "bits that show a fault (Enter: there are none)"),
+        ("mask", "bits that show how it is (0xFFFF: all)"),
+        ("on", "what these bits then read while it is enabled (several: 4 5)"),
+        ("stopping", "what they read while it brakes (Enter: it does not say)"),
+        ("fault_value", "what they read in fault (Enter: there is none)"),
     ),
+    "fault_reset": (("on", "written to acknowledge a fault (Enter: 1)"),),
+    "mode_of_operation": (
+        ("torque", "its value for the torque mode (Enter: 10)"),
+        ("position", "its value for the position mode (Enter: 8, or none)"),
+    ),
+    "store_command": (("on", "written to store (Enter: 1)"),),
+    "store_status": (("on", "what it reads once all is stored"),),
+    "coulomb_negative": (("minimum", "least raw value (below zero: it is stored with its sign)"),),
 }

@@ -28,10 +28,9 @@ def test_each_fault_in_some_phase(job: Job, tmp_path: Path) -> None:
     outcomes = [
         one(job, draw.choice(found), fault, draw.choice(DELAYS), tmp_path)
         for fault in Fault
-        for _ in range(2)
     ]
     assert [o for o in outcomes if o.wrong] == []
-    assert sum(o.code is not None for o in outcomes) > len(Fault)
+    assert sum(o.code is not None for o in outcomes) > len(Fault) // 2
 
 
 def test_what_drops_without_energy_falls_freely_until_the_brake_holds(tmp_path: Path) -> None:

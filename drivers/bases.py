@@ -70,7 +70,7 @@ def _torque_constant(profile: Profile, axis: Axis, rated: float, read: Read) -> 
     if axis.torque_constant is not None:
         return axis.torque_constant
     base = known.get("rated_current")
-    current = (read("rated_current") or 0) * base.scale if base is not None else 0.0
+    current = base.number(read("rated_current") or 0) * base.scale if base is not None else 0.0
     if current <= 0:
         raise PreflightRefused(
             f"profile '{profile.name}' has parameters in A, and the motor's rated current is not "
@@ -98,7 +98,7 @@ def _rated_torque(profile: Profile, read: Read) -> float:
             code="scale.torque",
             hint="give rated_torque (N.m of the motor) in the axis file",
         )
-    rated = told * base.scale
+    rated = base.number(told) * base.scale
     is_standard = isinstance(base.address, CanopenAddress) and base.address.index == _RATED_TORQUE
     if is_standard and told == 1:
         raise PreflightRefused(
@@ -127,7 +127,8 @@ def _encoder(profile: Profile, read: Read) -> float:
             hint="give encoder (increments per motor revolution) in the axis file",
         )
     address = known["encoder_increments"].address
-    increments = read("encoder_increments")
+    told = read("encoder_increments")
+    increments = None if told is None else known["encoder_increments"].number(told)
     revolutions = read("encoder_revolutions") if "encoder_revolutions" in known else 1
     encoder = None
     if increments is not None:
@@ -189,7 +190,7 @@ def _ratio(read: Read, above: str, below: str, what: str) -> float | None:
     return _positive(numerator, denominator, what)
 
 
-def _positive(numerator: int, denominator: int, what: str) -> float:
+def _positive(numerator: float, denominator: float, what: str) -> float:
     if numerator <= 0 or denominator <= 0:
         raise PreflightRefused(
             f"the drive's {what} is {numerator}/{denominator}: its position scale is unknown",

@@ -40,8 +40,13 @@ class Preparation:
     # -- before anything is written --------------------------------------------------------------
 
     def check_requirements(self) -> None:
-        """Read what the profile requires of the drive; raises PreflightRefused."""
-        self._check_word_order()
+        """Read what the profile requires of a drive that is to move; raises PreflightRefused."""
+        self.check_conditions()
+        self._check_enabling_value()
+
+    def check_conditions(self) -> None:
+        """What it requires of a drive that is written to, too; raises PreflightRefused."""
+        self.check_word_order()
         for condition in self._profile.requires:
             there = self._access.read(condition.parameter)
             if not condition.holds(there):
@@ -51,9 +56,8 @@ class Preparation:
                     f"{there}, and {condition}: set it in the drive first",
                     code="preflight.requires",
                 )
-        self._check_enabling_value()
 
-    def _check_word_order(self) -> None:
+    def check_word_order(self) -> None:
         """Refuse a drive that swaps the words of its values for this computer."""
         names = self._profile.link.swapped_for
         own = self._access.bus.own_address() if names else ""

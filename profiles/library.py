@@ -263,6 +263,8 @@ def _of_motion(profile: Profile) -> list[Finding]:
     found: list[Finding] = []
     if not profile.stop:
         found.append(Finding("error", "[stop] is empty: there is no way to stop the drive"))
+    if not profile.disable:
+        found.append(Finding("error", "[disable] is empty: there is no way to take its energy"))
     if profile.watchdog.kind == "none":
         found.append(
             Finding("warning", "[watchdog] kind is 'none': the drive does not notice a dead link")

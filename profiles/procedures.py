@@ -145,6 +145,22 @@ class ModeCode(Strict):
     set_point: str
     before: tuple[Step, ...] = ()
 
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        written = [step.write for step in self.before]
+        if None in written:
+            raise ValueError(
+                "before are settings, which are put back: it writes, and waits for nothing (until "
+                "belongs into [power] enable)"
+            )
+        twice = {name for name in written if written.count(name) > 1}
+        if twice:
+            raise ValueError(
+                f"before writes '{min(map(str, twice))}' twice: a setting has one value (keys, one "
+                "after the other, belong into [power] enable)"
+            )
+        return self
+
 
 class Cycle(Strict):
     """What is exchanged every cycle.

@@ -337,8 +337,9 @@ def _compensation(found: dict[str, Row]) -> dict[str, Any]:
         there.pop("gain", None)
     for law in CompensationLaw:
         if there.keys() - {"offset"} and law.takes(frozenset(there)):
-            sign = {"negative_sign": _negative_sign(found["coulomb_negative"])}
-            return {"law": str(law), **there, **(sign if "negative" in there else {})}
+            negative = found[there["negative"]] if "negative" in there else None
+            sign = {} if negative is None else {"negative_sign": _negative_sign(negative)}
+            return {"law": str(law), **there, **sign}
     if there.keys() <= {"offset"}:
         return {"law": "none"}
     first = found[next(name for term, name in there.items() if term != "offset")]

@@ -18,6 +18,9 @@ from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from commissioning.performance.trying import (
     CYCLES,
+    FRACTION,
+    FRICTION,
+    WornJournal,
     another,
     like,
     not_allowed,
@@ -25,7 +28,6 @@ from commissioning.performance.trying import (
     unlike,
     writes_of,
 )
-from commissioning.result.found import Found, Quantity
 from commissioning.rig.conditions import conditions
 from commissioning.rig.preflight import choose_limits, look
 from commissioning.rig.rig import Rig
@@ -41,14 +43,8 @@ from profiles.parameter import Access, Protection, Trust, Unit
 from profiles.procedures import Condition, Mode, ModeCode
 from profiles.schema import Profile
 
-__all__ = ["FRACTION", "FRICTION", "Account", "performed", "tried_axis"]
+__all__ = ["Account", "performed", "tried_axis"]
 
-FRACTION = 0.85
-FRICTION = Found(  # of an axis that the twin does not have: its torques fit every motor's range
-    coulomb=Quantity(0.1, 0.09, 0.11, "N.m"),
-    offset=Quantity(0.02, 0.01, 0.03, "N.m"),
-    viscous=Quantity(2e-3, 1.9e-3, 2.1e-3, "N.m.s/rad"),
-)
 _LIMITED = 0.5  # of the rated torque: less than any drive is delivered with
 _SHARE = 0.05  # of the largest torque: the axis does not move for it
 _COUNTS = 20  # of a motion in position mode
@@ -128,6 +124,7 @@ def _perform(heard: Account, desk: Desk, profile: Profile) -> None:
         bench.quick_stop()
     bench.writing()
     bench.guarding()
+    bench.requiring()
     if profile.moves:
         bench.saying()
         bench.impatience()
@@ -237,7 +234,9 @@ class _Bench:
 
     def job(self, of: str = "") -> None:
         """A job of its own, without the experiments: looked at, prepared, moved, put back."""
-        none = self.profile.watchdog.kind == "none"
+        # a fault that cannot be acknowledged stays after the proof of a watchdog
+        power = self.profile.power
+        none = self.profile.watchdog.kind == "none" or (power is not None and not power.reset)
         virtual = virtual_axis()
         options = Options(
             max_speed=virtual.speed,
@@ -364,7 +363,7 @@ class _Bench:
     def _stores_once_more(self, most: int) -> bool:
         """Whether a drive that has stored so many times stores once more."""
         journal = self.desk.journal
-        worn = Desk(_Worn(journal, most), self.desk.interruption, self.desk.tell, self.desk.confirm)  # type: ignore[arg-type]
+        worn = replace(self.desk, journal=WornJournal(journal, most))  # type: ignore[arg-type]
         try:
             store(self.drive, worn, self.run, {})
         except TwoRelayError as error:
@@ -378,13 +377,20 @@ class _Bench:
                 with self.act(f"guard {name}"):
                     self.drive.write(name, raw)
 
-    def saying(self) -> None:
-        """Each sign of the power stage, and what is required, put into the drive's mouth."""
-        power = self.profile.power
+    def requiring(self) -> None:
+        """What is required, and the master for whom it swaps words, put into the drive's mouth."""
+        known = self.profile.parameters
         for number, condition in enumerate(self.profile.requires):
             with self.act(f"requires {number}"):
-                self.witness.forced[condition.parameter] = unlike(condition)
-                self.drive.preparation.check_requirements()
+                wrong = unlike(condition, known[condition.parameter])
+                self.witness.forced[condition.parameter] = wrong
+                self.drive.preparation.check_conditions()
+        with self.act("word order"):
+            self.drive.preparation.check_word_order()
+
+    def saying(self) -> None:
+        """Each sign of the power stage put into the drive's mouth."""
+        power = self.profile.power
         for mode, codes in self.profile.modes.items():
             for number, code in enumerate(codes, 1):
                 if code.supported_bit is not None and "supported_modes" in self.profile.parameters:
@@ -409,10 +415,14 @@ class _Bench:
                 self.heard.told["host"] = self.drive.preparation.settings(Mode.TORQUE).get(host)
 
     def _signs(self, sign: str, condition: Condition) -> None:
-        there = condition.wanted or (like(condition),)
+        parameter = self.profile.parameters[condition.parameter]
+        there = condition.wanted or (like(condition, parameter),)
         found = []
         with self.act(f"says {sign}"):
-            for raw, holds in [*((raw, True) for raw in there), (unlike(condition), False)]:
+            for raw, holds in [
+                *((raw, True) for raw in there),
+                (unlike(condition, parameter), False),
+            ]:
                 self.witness.forced[condition.parameter] = raw
                 said = self.drive.state()
                 heard = said.in_fault if sign == "fault" else said.is_energised
@@ -447,6 +457,8 @@ class _Bench:
             self._borne("patience.enable", lambda: self.drive.enable(Mode.TORQUE), deaf=on)
             self.drive.stop()
         acknowledged = {("controlword", 0x80)} if power is None else writes_of(power.reset)
+        if power is not None and any(step.until is not None for step in power.reset):
+            acknowledged = set()  # which has a time of its own
         if "reset" in said and acknowledged:
             self.twinned.firmware.trip(_STILL_BUSY)
             self._borne("patience.reset", self.drive.reset_fault, deaf=acknowledged)
@@ -474,18 +486,3 @@ class _Bench:
                 action()
             finally:
                 self.heard.told[what] = self.now - began
-
-
-class _Worn:
-    """A journal by which the drive has stored as often as its memory takes."""
-
-    def __init__(self, journal: Journal, most: int) -> None:
-        self._journal = journal
-        self._most = most
-
-    def stores(self, run: str) -> int:
-        """How often."""
-        return self._most
-
-    def note_stored(self, run: str, text: str) -> None:
-        """It is not to come so far."""

@@ -9,7 +9,8 @@ from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
-from commissioning.performance.acts import FRACTION, FRICTION, Account
+from commissioning.performance.acts import Account
+from commissioning.performance.trying import FRACTION
 from commissioning.session.verify import provable
 from drivers.link import agreed, modbus_wire, parse
 from profiles.errors import IdentityMismatch, TwoRelayError
@@ -107,6 +108,9 @@ def _identity(profile: Profile, heard: Account) -> Found:
 
 def _link(profile: Profile, heard: Account) -> Found:
     link = profile.link
+    for name in link.swapped_for:
+        if name not in heard.reads("word order"):
+            yield Unheard("link", f"swapped_for: '{name}' is not read")
     if profile.bus == "modbus":
         line = modbus_wire(parse(_SERIAL), profile)
         for key, kept in (
@@ -230,17 +234,14 @@ def _stopping(profile: Profile, heard: Account) -> Found:
 
 
 def _conditions(profile: Profile, heard: Account) -> Found:
-    if not profile.moves:
-        return
     for number, condition in enumerate(profile.requires):
         error = heard.trouble.get(f"requires {number}")
-        if condition.parameter not in heard.reads("look") or (
-            error is None or error.code != "preflight.requires"
-        ):
+        looked = not profile.moves or condition.parameter in heard.reads("look")
+        if not looked or error is None or error.code != "preflight.requires":
             yield Unheard("requires", f"'{condition.parameter}' {condition}: nobody looks")
     lock = profile.exclusive
     if lock is not None:
-        for act in ("prepare", "apply"):
+        for act in ("prepare", "apply") if profile.moves else ("apply",):
             if _write(lock) not in heard.writes(act)[:1]:
                 yield Unheard("exclusive", f"{_words(lock)}: it is not written first")
 
@@ -306,11 +307,12 @@ def _compensation(profile: Profile, heard: Account) -> Found:
     law = profile.compensation
     written = dict(heard.writes("apply"))
     amount = Amount(FRACTION * 1.0, 1.0, FRACTION * 1.0, "", 1.0)
-    values = law.values(amount) if FRICTION.coulomb is not None else {}
-    for name, wanted in values.items():
+    for name, wanted in law.values(amount).items():
         if not written.get(name):
             yield Unheard("compensation", f"'{name}' is not written")
-        elif name == law.negative and written[name] * wanted.value < 0:
+        elif name == law.negative and (
+            written[name] * wanted.value * profile.parameters[name].scale < 0
+        ):
             yield Unheard("compensation", f"negative_sign: '{name}' is written as {written[name]}")
     for name in law.terms.values():
         if name not in heard.reads("apply"):

@@ -3,13 +3,33 @@
 from __future__ import annotations
 
 from commissioning.experiments.plan import Plan
+from commissioning.journal import Journal
+from commissioning.result.found import Found, Quantity
 from drivers.sample import Sample
+from profiles.address import WIDTH_BITS
 from profiles.parameter import Parameter, Protection
 from profiles.procedures import Condition, Step
 
-__all__ = ["CYCLES", "another", "like", "not_allowed", "to_both_sides", "unlike", "writes_of"]
+__all__ = [
+    "CYCLES",
+    "FRACTION",
+    "FRICTION",
+    "WornJournal",
+    "another",
+    "like",
+    "not_allowed",
+    "to_both_sides",
+    "unlike",
+    "writes_of",
+]
 
 CYCLES = 6  # with one set-point
+FRACTION = 0.85
+FRICTION = Found(  # of an axis that the twin does not have: its torques fit every motor's range
+    coulomb=Quantity(0.2, 0.19, 0.21, "N.m"),
+    offset=Quantity(0.15, 0.14, 0.16, "N.m"),
+    viscous=Quantity(2e-3, 1.9e-3, 2.1e-3, "N.m.s/rad"),
+)
 
 
 def to_both_sides(size: float, at: float = 0.0) -> Plan[None]:
@@ -21,8 +41,7 @@ def to_both_sides(size: float, at: float = 0.0) -> Plan[None]:
 
 def another(parameter: Parameter, raw: int) -> int:
     """A raw value beside `raw` that may be written."""
-    low, high = parameter.range
-    return next(value for value in (raw + 1, raw - 1) if low <= parameter.number(value) <= high)
+    return next((value for value in (raw + 1, raw - 1) if parameter.allows(value)), raw)
 
 
 def not_allowed(parameter: Parameter) -> list[int]:
@@ -37,21 +56,24 @@ def not_allowed(parameter: Parameter) -> list[int]:
     return found
 
 
-def unlike(condition: Condition) -> int:
+def _bits(condition: Condition, parameter: Parameter) -> list[int]:
+    """The bits that a condition is about, as the type holds them."""
+    width = WIDTH_BITS[parameter.address.type] - parameter.address.type.startswith("i")
+    return [1 << n for n in range(width) if condition.mask >> n & 1]
+
+
+def unlike(condition: Condition, parameter: Parameter) -> int:
     """A raw value with which a condition does not hold."""
     if condition.differs is not None:
         return condition.differs
-    every = condition.mask & 0x7FFF
-    bits = [1 << n for n in range(15) if every >> n & 1]
-    candidates = [0, every, *bits]
-    return next(raw for raw in candidates if not condition.holds(raw))
+    bits = _bits(condition, parameter)
+    return next(raw for raw in (0, sum(bits), *bits) if not condition.holds(raw))
 
 
-def like(condition: Condition) -> int:
+def like(condition: Condition, parameter: Parameter) -> int:
     """A raw value with which a condition holds that names the one with which it does not."""
     assert condition.differs is not None
-    every = condition.mask & 0x7FFF
-    return condition.differs ^ (every & -every)
+    return condition.differs ^ _bits(condition, parameter)[0]
 
 
 def writes_of(steps: tuple[Step, ...]) -> set[tuple[str, int]]:
@@ -59,3 +81,18 @@ def writes_of(steps: tuple[Step, ...]) -> set[tuple[str, int]]:
     return {
         (step.write, step.raw) for step in steps if step.write is not None and step.raw is not None
     }
+
+
+class WornJournal:
+    """A journal by which the drive has stored as often as its memory takes."""
+
+    def __init__(self, journal: Journal, most: int) -> None:
+        self._journal = journal
+        self._most = most
+
+    def stores(self, run: str) -> int:
+        """How often."""
+        return self._most
+
+    def note_stored(self, run: str, text: str) -> None:
+        """It is not to come so far."""

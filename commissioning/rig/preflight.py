@@ -300,12 +300,15 @@ def _both_ways(drive: Drive, kind: str) -> list[str]:
 def _limited(drive: Drive, name: str, value: float, most: int) -> int:
     """Raw value of a limit (SI), within `most`, which is what the drive had; 0: it had none.
 
-    A limit of the negative direction may be counted below zero.
+    A limit of the negative direction may be counted below zero: as what is there is, or its range.
     """
     what = drive.parameters[name]
-    sign = -1 if what.parameter.range[1] <= 0 else 1
-    raw, there = sign * what.raw(sign * value), sign * most
-    return sign * (max(1, min(raw, there)) if there > 0 else raw)
+    there = what.si(most)
+    highest = max(bound * what.step for bound in what.parameter.range)
+    sign = -1.0 if there < 0 or (there == 0 and highest <= 0) else 1.0
+    limit = sign * (min(value, abs(there)) if there else value)
+    raw = what.raw(limit)
+    return raw or (1 if limit * what.step > 0 else -1)  # 0 would be none
 
 
 def cautious_speed(drive: Drive, limits: Limits, dead_time: float | None = None) -> float:

@@ -57,11 +57,7 @@ def apply(
                     f"run {run_id}: its gains are not those that the profile maps; tune it again",
                     code="gains.not-mapped",
                 )
-        if drive.state().is_energised:
-            raise DriveEnabled(
-                "the drive is enabled: its compensation is not changed while it controls the axis; "
-                "disable it first"
-            )
+        _may_be_written_to(drive)
         present = tuple(_present(change, drive) for change in proposal)
         show(present)
         stores, then = storing(drive, prove_first=prove_first)
@@ -95,6 +91,16 @@ def apply(
             result = replace(result, status="completed", error=None, written=(*others, *there))
             result = close_act(desk, folder, result, axis_state(drive, axis))
     return result
+
+
+def _may_be_written_to(drive: Drive) -> None:
+    """Raise DriveEnabled, or PreflightRefused where it is not as its profile requires."""
+    if drive.state().is_energised:
+        raise DriveEnabled(
+            "the drive is enabled: its compensation is not changed while it controls the axis; "
+            "disable it first"
+        )
+    drive.preparation.check_conditions()
 
 
 def _is_stored(history: History, proposal: tuple[Change, ...]) -> bool:

@@ -74,6 +74,7 @@ def restore(
     with connect(axis, None, desk, f"run {run_id}", lenient=True) as drive:
         same_drive(drive.identity(), record.serial, run_id, drive.link, desk)
         _check_not_enabled(drive, desk, run_id)
+        drive.preparation.check_word_order()
         intents = desk.journal.intents(run_id, open_only=True)
         plan = planned(drive, intents, force=force)
         show(plan, drive)

@@ -143,6 +143,9 @@ class _Pipe:
         self.came += self._answers(bytes(data))
         return len(data)
 
+    def getsockname(self) -> tuple[str, int]:
+        return "127.0.0.1", 0
+
     def close(self) -> None:
         self.came = b""
 

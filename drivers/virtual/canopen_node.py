@@ -90,10 +90,14 @@ class CanopenNode:
         self._rpdos = [
             NodePdo(0x200 + n, 255, [0x60400010]),
             NodePdo(OFF | 0x300 + n, 255, [0x60400010, 0x60600008]),
+            NodePdo(OFF | 0x400 + n, 255, [0x60400010, 0x60710010]),
+            NodePdo(OFF | 0x500 + n, 255, [0x60400010, 0x607A0020]),
         ]
         self._tpdos = [
             NodePdo(0x180 + n, 255, [0x60410010]),
             NodePdo(OFF | 0x280 + n, 255, [0x60410010, 0x60610008]),
+            NodePdo(OFF | 0x380 + n, 255, [0x60410010, 0x60770010]),
+            NodePdo(OFF | 0x480 + n, 255, [0x60410010, 0x60640020]),
         ]
 
     def boot(self) -> list[Frame]:

@@ -130,7 +130,7 @@ def _word(conditions: list[tuple[Condition, bool]], *, moves: bool) -> int:
 
 def _bits(condition: Condition, *, holds: bool, moves: bool) -> list[int]:
     """Raw values with which one condition holds, or does not; the plainest first."""
-    every = condition.mask & 0xFFFF
+    every = condition.mask & (0xFFFF if condition.mask < 0 else 0xFFFFFFFF)
     least = every & -every
     if condition.differs is None:
         wanted = condition.wanted

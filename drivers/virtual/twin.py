@@ -272,16 +272,9 @@ def _entry(
     parameter = profile.parameters[name]
     access = str(parameter.access)
     code = _CODES[parameter.address.type]
-    fixed: dict[str | None, float] = {
-        "supported_modes": _supported(profile),
-        "rated_current": round(RATED_CURRENT / parameter.scale),
-        "feed_units": round(_TURN / axis.resolution),
-        **dict.fromkeys(_RATIOS, 1),
-        profile.own_estimates.get("coulomb"): _shown(axis.coulomb, parameter, axis),
-        profile.conditions.get("motor_temperature"): round(axis.temperature / parameter.scale),
-    }
-    if name in fixed:
-        return Entry((), code, "ro", name=name, default=fixed[name])
+    fixed = _fixed(name, profile, axis)
+    if fixed is not None:
+        return Entry((), code, "ro", name=name, default=fixed)
     if name in _SIMULATION:
         return Entry((name,), code, access, name=name)
     known = [key for key in keys if key in _FIRMWARE]
@@ -292,6 +285,23 @@ def _entry(
     sign = law.negative_sign if name == law.negative else 1
     factor = sign * parameter.scale * _size(parameter.unit, axis) / (step * _size(unit, axis))
     return Entry(tuple(known), code, access, factor, name=name, codes=_codes(known[0], profile))
+
+
+def _fixed(name: str, profile: Profile, axis: VirtualAxis) -> float | None:
+    """What an object says for good; None: it is none of these."""
+    parameter = profile.parameters[name]
+    if name == "supported_modes":
+        return _supported(profile)
+    if name == "rated_current":
+        return _shown(axis.rated, parameter, axis)
+    if name == "feed_units" or name in _RATIOS:
+        return round(_TURN / axis.resolution) if name == "feed_units" else 1
+    required = [v for c in profile.requires if c.parameter == name for v in c.wanted]
+    if name == profile.own_estimates.get("coulomb"):
+        return required[0] if required else _shown(axis.coulomb, parameter, axis)
+    if name == profile.conditions.get("motor_temperature"):
+        return required[0] if required else _shown(axis.temperature, parameter, axis)
+    return None
 
 
 def _delivered(name: str, profile: Profile, axis: VirtualAxis) -> int:
@@ -312,9 +322,13 @@ def _delivered(name: str, profile: Profile, axis: VirtualAxis) -> int:
     watchdog = profile.watchdog
     written = {step.raw for step in before if step.write == name}
     written |= {watchdog.reaction_raw} if watchdog.reaction == name else set()
+    lock = profile.exclusive
+    written |= {lock.raw} if lock is not None and lock.write == name else set()
     enabling = {s.raw for s in profile.power.enable if s.write == name} if profile.power else set()
     taken = enabling or written  # a register that enables rests at 0
-    free = (raw for raw in range(len(taken) + 1) if parameter.allows(raw))
+    first = max(0, int(parameter.range[0])) if not parameter.is_float else 0
+    tried = range(first, first + len(taken) + len(parameter.forbidden) + 1)
+    free = (raw for raw in tried if parameter.allows(raw))
     return next((raw for raw in free if raw not in taken), 0)
 
 

@@ -107,6 +107,26 @@ def test_each_direction_has_its_limit_and_the_lower_one_counts() -> None:
     assert choose_limits(drive, AXIS, Options(travel=3.0, max_speed=20.0)).torque == 0.4
 
 
+@pytest.mark.parametrize(
+    ("range_", "there", "wanted"),
+    [
+        # by the sign of what is there, whatever the range says; never above what it had
+        ((-4000, 4000), -300, -300), ((-4000, 4000), -3000, -500), ((-4000, 4000), 300, 300),
+        ((-4000, 0), -300, -300), ((-4000, 0), 0, -500), ((0, 4000), 0, 500),
+    ],
+)  # fmt: skip
+def test_a_limit_of_the_negative_direction_keeps_its_sign_and_its_size(
+    range_: tuple[int, int], there: int, wanted: int
+) -> None:
+    drive = everything().drive
+    name = "torque_down"
+    parameter = drive.parameters[name].parameter.model_copy(
+        update={"minimum": range_[0], "maximum": range_[1]}
+    )
+    drive.parameters[name] = replace(drive.parameters[name], parameter=parameter)
+    assert preflight._limited(drive, name, 0.5, there) == wanted
+
+
 def test_a_drive_that_swaps_words_for_this_computer_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

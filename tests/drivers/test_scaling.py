@@ -62,7 +62,6 @@ def test_what_is_counted_behind_the_gear_does_not_know_it() -> None:
     why = why_not_written(unsaid["friction_torque_1"])
     assert why is not None
     assert why.code == "write.gear"
-    assert why_not_written(unsaid["constant_torque"]) is None
 
 
 def test_viscous_friction_and_stiffness_of_the_motor() -> None:

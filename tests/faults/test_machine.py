@@ -26,8 +26,7 @@ def test_each_fault_in_some_phase(job: Job, tmp_path: Path) -> None:
     """`make machine-faults` tries every phase."""
     draw, found = random.Random(job.axis), phases(job, tmp_path)
     outcomes = [
-        one(job, draw.choice(found), fault, draw.choice(DELAYS), tmp_path)
-        for fault in Fault
+        one(job, draw.choice(found), fault, draw.choice(DELAYS), tmp_path) for fault in Fault
     ]
     assert [o for o in outcomes if o.wrong] == []
     assert sum(o.code is not None for o in outcomes) > len(Fault) // 2

@@ -18,7 +18,7 @@ from drivers import modes, power, preparation, stopping
 from drivers.access import RawAccess
 from drivers.profiled import ProfiledDrive
 from profiles.law import Compensation, TermValue
-from profiles.library import builtin_names, load_profile, read_profile
+from profiles.library import builtin_names, check, load_profile, read_profile
 from profiles.procedures import Condition
 from profiles.schema import Profile
 from tests.command import in_this_process
@@ -241,6 +241,9 @@ def test_no_clause_of_the_schema_is_performed_by_no_twin() -> None:
         ("raw = 240", "raw = 70000", "[power] writes 70000 to 'key', which takes 0…65535"),
         # a cycle that its watchdog does not bear
         ("cycle = 0.004", "cycle = 0.04", "[link] cannot be done"),
+        # a wait among settings, and a setting with two values
+        ('{ write = "filter", raw = 0 }', '{ until = "ready", equals = 1 }', "waits for nothing"),
+        ('{ write = "filter", raw = 0 }', '{ write = "torque_source", raw = 5 }', "twice"),
         # two laws at once
         ('viscous = "viscous"', 'viscous = "viscous"\ngain = "friction_up"', "names gain, too"),
     ],
@@ -257,6 +260,35 @@ def test_what_cannot_be_performed_is_one_line(
         assert said in done.stdout + done.stderr
     assert "Traceback" not in done.stdout + done.stderr
     assert "drive.toml" in done.stderr or done.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        # bit 15, and bits of the high word
+        ("mask = 0x0F\namong = [1, 2]", "mask = 0x8000\nequals = 0"),
+        ('fault = { parameter = "alarm", differs = 0 }',
+         'fault = { parameter = "alarm", mask = 0x8000, differs = 0 }'),
+        # a scale below zero turns the sign; a lock that is opened by 0; a setting from 2 on
+        ("0.001, minimum = -300, maximum = 0", "-0.001, minimum = 0, maximum = 300"),
+        ('write = "panel_lock"\nraw = 1', 'write = "panel_lock"\nraw = 0'),
+        ('title = "source", protection = "experiment", forbidden = [9]',
+         'title = "source", protection = "experiment", minimum = 2'),
+        # a float as a base
+        ('{ register = 0x530, type = "u16" }, title = "rated", unit = "N.m", scale = 0.01',
+         '{ register = 0x540, type = "f32" }, title = "rated", unit = "N.m", scale = 1.0'),
+    ],
+)  # fmt: skip
+def test_a_right_profile_is_not_called_wrong(tmp_path: Path, old: str, new: str) -> None:
+    text, path = EVERYTHING.read_text("utf-8"), tmp_path / "drive.toml"
+    assert text.count(old) == 1
+    path.write_text(text.replace(old, new), "utf-8")
+    assert [str(clause) for clause in unheard(performed(read_profile(str(path))))] == []
+
+
+def test_what_takes_the_energy_must_be_there() -> None:
+    findings = check(load_profile("cia402").model_copy(update={"disable": ()}))
+    assert any(f.severity == "error" and "[disable] is empty" in f.text for f in findings)
 
 
 def test_a_step_that_never_ends_is_said() -> None:

@@ -188,6 +188,17 @@ def test_keys_modes_and_a_linear_zone_become_a_profile_that_is_performed(
     assert "all of it performed on its own twin" in done.stdout
 
 
+@pytest.mark.parametrize("speed", ["", "friction_speed;503h;u16;rpm\n"])
+def test_one_torque_for_both_directions(speed: str) -> None:
+    rows = KEYS.replace("coulomb_positive;", "friction;")
+    rows = "\n".join(
+        line for line in rows.splitlines()
+        if not line.startswith(("coulomb_negative", "friction_speed"))
+    )  # fmt: skip
+    draft = from_table(read_csv(f"{rows}\n{speed}".encode(), "t.csv"), "x", "t.csv")
+    assert f'law = "{"saturated-linear" if speed else "single-gain"}"' in draft.text
+
+
 def test_terms_of_no_law_are_refused(tmp_path: Path) -> None:
     text = KEYS.replace("coulomb_negative;", "# coulomb_negative;").encode()
     with pytest.raises(ProfileError, match="are the terms of no law"):

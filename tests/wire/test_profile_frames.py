@@ -58,7 +58,7 @@ FRAMES: dict[str, list[tuple[str, int, str]]] = {
     # AX2000 ASCII reference: ISTFR 36A4h, VSTFR 36A5h, T 360Eh, OPMODE 35B4h, IPEAK 356Eh, IPEAKN
     # 356Fh; objects above 3500h have their value behind sub-index 1, and I32 weighted by 1000
     "beckhoff-ax2000": [
-        *STANDARD[:2], STANDARD[-2], STANDARD[-1],
+        *STANDARD[:2], STANDARD[-1], ("controlword", 0x0080, "2B 40 60 00 80 00 00 00"),
         ("mode_of_operation", 2, "2F B4 35 01 02 00 00 00"),
         ("torque_target", 1500, "23 0E 36 01 DC 05 00 00"),
         ("torque_target", -1500, "23 0E 36 01 24 FA FF FF"),
@@ -69,7 +69,7 @@ FRAMES: dict[str, list[tuple[str, int, str]]] = {
     ],
     # S300/S700 CANopen manual: 6071h, 6073h, life guarding 100Ch x 100Dh, and the same two objects
     "kollmorgen-s300": [
-        *STANDARD, *CURRENT_LIMIT,
+        *STANDARD[:5], *STANDARD[-2:], *CURRENT_LIMIT,
         ("guard_time", 20, "2B 0C 10 00 14 00 00 00"),
         ("life_factor", 3, "2F 0D 10 00 03 00 00 00"),
         ("friction_current", 1500, "23 A4 36 01 DC 05 00 00"),

@@ -35,9 +35,24 @@ __all__ = [
     "draft_from_table",
     "fitting",
     "load_profile",
+    "outdated",
     "read_profile",
     "source_text",
 ]
+
+
+def outdated(profile: Profile) -> str:
+    """Why a profile that lies in a run may be wrong by what is known now; ''."""
+    if profile.name not in builtin_names():
+        return ""
+    now = _builtin(profile.name).version
+    if now == profile.version:
+        return ""
+    return (
+        f"this run was measured by profile {profile.name} {profile.version}, and the built-in one "
+        f"is {now} by now: its addresses may have been corrected since. 'tworelay identify' measures "
+        "by that one"
+    )
 
 
 def builtin_names() -> list[str]:

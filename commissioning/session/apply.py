@@ -20,6 +20,7 @@ from commissioning.settings import Settings
 from drivers.drive import Drive
 from drivers.errors import DriveEnabled
 from profiles.errors import Refused, TwoRelayError, UnknownName
+from profiles.library import outdated
 
 __all__ = ["apply"]
 
@@ -57,7 +58,7 @@ def apply(
                     f"run {run_id}: its gains are not those that the profile maps; tune it again",
                     code="gains.not-mapped",
                 )
-        _may_be_written_to(drive)
+        _may_be_written_to(drive, desk)
         present = tuple(_present(change, drive) for change in proposal)
         show(present)
         stores, then = storing(drive, prove_first=prove_first)
@@ -93,8 +94,10 @@ def apply(
     return result
 
 
-def _may_be_written_to(drive: Drive) -> None:
+def _may_be_written_to(drive: Drive, desk: Desk) -> None:
     """Raise DriveEnabled, or PreflightRefused where it is not as its profile requires."""
+    if old := outdated(drive.profile):
+        desk.tell(old)
     if drive.state().is_energised:
         raise DriveEnabled(
             "the drive is enabled: its compensation is not changed while it controls the axis; "

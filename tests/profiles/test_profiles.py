@@ -16,6 +16,7 @@ from profiles.library import (
     digest,
     fitting,
     load_profile,
+    outdated,
     source_text,
 )
 from tests.command import ROOT
@@ -203,3 +204,11 @@ def test_a_bad_without_is_told(tmp_path: Path, without: str) -> None:
     path.write_text(f'extends = "cia402"\nname = "x"\nwithout = {without}\n')
     with pytest.raises(ProfileError, match="without"):
         load_profile(str(path))
+
+
+def test_a_profile_of_a_run_may_have_been_corrected_since() -> None:
+    profile = load_profile("beckhoff-ax2000")
+    assert outdated(profile) == ""
+    said = outdated(profile.model_copy(update={"version": "1.0.0"}))
+    assert "profile beckhoff-ax2000 1.0.0, and the built-in one is 2.0.0" in said
+    assert outdated(profile.model_copy(update={"name": "mine", "version": "1.0.0"})) == ""

@@ -50,8 +50,8 @@ def outdated(profile: Profile) -> str:
         return ""
     return (
         f"this run was measured by profile {profile.name} {profile.version}, and the built-in one "
-        f"is {now} by now: its addresses may have been corrected since. 'tworelay identify' measures "
-        "by that one"
+        f"is {now} by now: its addresses may have been corrected since. 'tworelay identify' "
+        "measures by that one"
     )
 
 

@@ -253,8 +253,8 @@ def test_a_dry_run_shows_keys_and_pdo_mapping(
     )
     done = tworelay("identify", str(axis), "--dry-run", "--without-watchdog", "--max-speed", "20")
     assert done.returncode == 0, done.stderr
-    assert "would enable: 131 to input_1_function (register 0401h)" in done.stdout
-    assert "would stop: 64 to position_control (register 6002h)" in done.stdout
+    assert "would enable: 83h to input_1_function (register 0401h)" in done.stdout
+    assert "would stop: 40h to position_control (register 6002h)" in done.stdout
     link = serve("bench", *WIRES["socketcand"], "--clock", "step")[0]
     done = tworelay("identify", link, "--travel", "3", "--dry-run")
     assert done.returncode == 0, done.stderr

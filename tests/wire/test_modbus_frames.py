@@ -237,7 +237,7 @@ def test_a_busy_answer_to_the_cycle_is_a_missed_one() -> None:
 def test_a_refused_cycle_is_a_fault_of_the_drive() -> None:
     with peer([(CYCLE.format(1), "00 01 00 00 00 03 01 97 02")]) as (port, _):
         client = Client(TcpWire("127.0.0.1", port), 1, 1.0)
-        bus = ModbusBus(client, load_profile("virtual-modbus"), WallPace(0.005))
+        bus = ModbusBus(client, load_profile("virtual-modbus"), WallPace(0.2))
         with pytest.raises(
             DriveFault, match=r"the drive refuses the cycle: .* exception 2"
         ) as caught:

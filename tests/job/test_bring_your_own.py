@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from profiles.library import load_profile
+from tests.command import ROOT
 from tests.conftest import Serve, Tworelay
 
 FOREIGN = Path(__file__).with_name("foreign")
@@ -142,3 +143,14 @@ def test_a_canopen_drive_with_friction_objects_of_its_own(
     done = tworelay("commission", link, "--profile", str(profile), "--travel", "3", "--yes")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "less error after reversals with 85 % of the friction compensated" in done.stdout
+
+
+def test_the_table_of_the_guide_is_a_profile(tworelay: Tworelay, tmp_path: Path) -> None:
+    guide = (ROOT / "docs" / "bring-your-own-drive.md").read_text("utf-8")
+    table = next(part for part in guide.split("```text\n") if part.startswith("name"))
+    path, profile = tmp_path / "my-drive.csv", str(tmp_path / "my-drive.toml")
+    path.write_text(table.split("```")[0], "utf-8")
+    done = tworelay("profile", "new", "--csv", str(path), "--output", profile)
+    assert done.returncode == 0, done.stderr
+    done = tworelay("profile", "check", profile)
+    assert done.returncode == 0, done.stdout + done.stderr

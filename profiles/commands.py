@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from profiles.address import CanopenAddress
 from profiles.parameter import Protection
-from profiles.procedures import Mode, Step
+from profiles.procedures import Mode, writes_of
 from profiles.schema import Profile
 
 __all__ = ["SET", "Commands", "commands_of"]
@@ -59,7 +59,7 @@ def commands_of(profile: Profile) -> Commands:
     before = [step for codes in profile.modes.values() for code in codes for step in code.before]
     switching = [*profile.stop, *profile.disable]
     switching += [*power.enable, *power.reset] if power is not None else []
-    enabling = _writes(power.enable) if power is not None else set()
+    enabling = set(writes_of(power.enable)) if power is not None else set()
     switches = {step.write for step in switching if step.write is not None}
     words = _named(profile, {"controlword"}) | _at(profile, {_CONTROLWORD})
     modes = _named(profile, {"mode_of_operation"}) | _at(profile, {_MODE})
@@ -81,16 +81,12 @@ def commands_of(profile: Profile) -> Commands:
             or (parameter.protection is Protection.COMMAND and name in kept)
         ),
         controlwords=frozenset(words),
-        by_procedure=frozenset(enabling - _writes((*before, *profile.disable))),
+        by_procedure=frozenset(enabling - set(writes_of((*before, *profile.disable)))),
     )
 
 
 def _named(profile: Profile, names: set[str]) -> set[str]:
     return names & profile.parameters.keys()
-
-
-def _writes(steps: tuple[Step, ...]) -> set[tuple[str, int]]:
-    return {(s.write, s.raw) for s in steps if s.write is not None and s.raw is not None}
 
 
 def _at(profile: Profile, indices: set[int], *, own: bool = False) -> set[str]:

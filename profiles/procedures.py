@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import StrEnum
 from typing import Annotated, Literal, Self
 
@@ -22,6 +23,7 @@ __all__ = [
     "Step",
     "Store",
     "Watchdog",
+    "writes_of",
 ]
 
 
@@ -74,6 +76,13 @@ class Step(Strict):
                 f"mask {self.mask:#x} never leaves {self.equals:#x}: it can never read so"
             )
         return self
+
+
+def writes_of(steps: Iterable[Step]) -> list[tuple[str, int]]:
+    """Names and raw values that steps write, in their order."""
+    return [
+        (step.write, step.raw) for step in steps if step.write is not None and step.raw is not None
+    ]
 
 
 class Condition(Strict):

@@ -26,12 +26,12 @@ from commissioning.performance.trying import (
     not_allowed,
     to_both_sides,
     unlike,
-    writes_of,
 )
 from commissioning.rig.conditions import conditions
 from commissioning.rig.preflight import choose_limits, look
 from commissioning.rig.rig import Rig
 from commissioning.runner import Recorder, verified
+from commissioning.session.proposal import own_estimate
 from commissioning.session.storing import store
 from commissioning.settings import Settings, put_back
 from drivers.twinned import Twinned, open_twin, virtual_axis
@@ -40,7 +40,7 @@ from drivers.virtual.witness import Utterance
 from profiles.axis import Axis, Mechanics
 from profiles.errors import ProfileError, TwoRelayError
 from profiles.parameter import Access, Protection, Trust, Unit
-from profiles.procedures import Condition, Mode, ModeCode
+from profiles.procedures import Condition, Mode, ModeCode, writes_of
 from profiles.schema import Profile
 
 __all__ = ["Account", "performed", "tried_axis"]
@@ -229,8 +229,7 @@ class _Bench:
                     self.drive.read(name)
         with self.act("conditions"):
             conditions(self.drive, self.axis, 0.0, None)
-            for name in self.drive.own_estimates.values():
-                self.drive.read(name)
+            own_estimate(self.drive, 1.0)
 
     def job(self, of: str = "") -> None:
         """A job of its own, without the experiments: looked at, prepared, moved, put back."""
@@ -298,8 +297,8 @@ class _Bench:
 
     def quick_stop(self) -> None:
         """The stop path, from a drive that is enabled; then from one that does not heed it."""
-        ends = writes_of(self.profile.disable)
-        stopping = writes_of(self.profile.stop) - ends
+        ends = set(writes_of(self.profile.disable))
+        stopping = set(writes_of(self.profile.stop)) - ends
         with self._prepared():
             with self.act("stop"):
                 self._enabled()
@@ -453,10 +452,10 @@ class _Bench:
                         forced={shown: code ^ 1})  # fmt: skip
         power = self.profile.power
         if "enable" in said:
-            on = {("controlword", 0x0F)} if power is None else writes_of(power.enable[-1:])
+            on = {("controlword", 0x0F)} if power is None else set(writes_of(power.enable[-1:]))
             self._borne("patience.enable", lambda: self.drive.enable(Mode.TORQUE), deaf=on)
             self.drive.stop()
-        acknowledged = {("controlword", 0x80)} if power is None else writes_of(power.reset)
+        acknowledged = {("controlword", 0x80)} if power is None else set(writes_of(power.reset))
         if power is not None and any(step.until is not None for step in power.reset):
             acknowledged = set()  # which has a time of its own
         if "reset" in said and acknowledged:

@@ -8,7 +8,7 @@ from commissioning.result.found import Found, Quantity
 from drivers.sample import Sample
 from profiles.address import WIDTH_BITS
 from profiles.parameter import Parameter, Protection
-from profiles.procedures import Condition, Step
+from profiles.procedures import Condition
 
 __all__ = [
     "CYCLES",
@@ -20,7 +20,6 @@ __all__ = [
     "not_allowed",
     "to_both_sides",
     "unlike",
-    "writes_of",
 ]
 
 CYCLES = 6  # with one set-point
@@ -74,13 +73,6 @@ def like(condition: Condition, parameter: Parameter) -> int:
     """A raw value with which a condition holds that names the one with which it does not."""
     assert condition.differs is not None
     return condition.differs ^ _bits(condition, parameter)[0]
-
-
-def writes_of(steps: tuple[Step, ...]) -> set[tuple[str, int]]:
-    """Names and raw values that the steps write."""
-    return {
-        (step.write, step.raw) for step in steps if step.write is not None and step.raw is not None
-    }
 
 
 class WornJournal:

@@ -12,7 +12,7 @@ from drivers.drive import Drive
 from drivers.errors import AccessDenied, WriteFailed
 from drivers.writing import why_not_written
 
-__all__ = ["with_proposal"]
+__all__ = ["own_estimate", "with_proposal"]
 
 
 def with_proposal(result: RunResult, drive: Drive, fraction: float) -> RunResult:
@@ -20,7 +20,7 @@ def with_proposal(result: RunResult, drive: Drive, fraction: float) -> RunResult
     if result.friction.coulomb is None:
         return result
     changes, reasons = _changes(result, drive, fraction)
-    own = _own_estimate(drive, result.friction.coulomb.value)
+    own = own_estimate(drive, result.friction.coulomb.value)
     quality = Quality(
         result.quality.verdict, (*result.quality.reasons, *reasons, *([own] if own else ()))
     )
@@ -56,7 +56,7 @@ def _changes(
     return (), reasons
 
 
-def _own_estimate(drive: Drive, coulomb: float) -> Reason | None:
+def own_estimate(drive: Drive, coulomb: float) -> Reason | None:
     """The drive's own estimate of the friction beside ours (N.m or N), where it has one."""
     name = drive.own_estimates.get("coulomb")
     if name is None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from drivers.virtual.device import Device
 from drivers.virtual.objects import MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE
 from drivers.virtual.states import State
-from profiles.procedures import Condition, Mode, Power, Step
+from profiles.procedures import Condition, Mode, Power, writes_of
 from profiles.schema import Profile
 
 __all__ = ["Switchgear"]
@@ -26,11 +26,11 @@ class Switchgear:
         self._device = device
         self._power = power
         self._recent: dict[str, list[int]] = {}  # raw values, the latest last
-        self._enable = _writes(power.enable)
-        self._reset = _writes(power.reset)
-        self._stop = [step for step in _writes(profile.stop) if step[0] != "torque_target"]
-        self._disable = _writes(profile.disable)
-        self._store = _writes(profile.store.steps) if profile.store else []
+        self._enable = writes_of(power.enable)
+        self._reset = writes_of(power.reset)
+        self._stop = [step for step in writes_of(profile.stop) if step[0] != "torque_target"]
+        self._disable = writes_of(profile.disable)
+        self._store = writes_of(profile.store.steps) if profile.store else []
         self._ready = {
             step.until: step.equals or 0
             for step in (profile.store.steps if profile.store else ())
@@ -40,7 +40,7 @@ class Switchgear:
         # it is as soon as it was told
         self._at_once = {step.until: step.equals or 0 for step in others if step.until is not None}
         switched = {name for name, _ in self._enable} | {"torque_target"}
-        before = _writes(profile.modes[Mode.TORQUE][0].before) if profile.moves else []
+        before = writes_of(profile.modes[Mode.TORQUE][0].before) if profile.moves else []
         self._torque = [write for write in before if write[0] not in switched]
         self._is_told_its_mode = "mode_of_operation" in profile.parameters
 
@@ -106,12 +106,6 @@ class Switchgear:
     def _control(self, *words: int) -> None:
         for word in words:
             self._device.firmware.write("controlword", word)
-
-
-def _writes(steps: tuple[Step, ...]) -> list[Write]:
-    return [
-        (step.write, step.raw) for step in steps if step.write is not None and step.raw is not None
-    ]
 
 
 def _word(conditions: list[tuple[Condition, bool]], *, moves: bool) -> int:

@@ -149,6 +149,7 @@ LEFT_OUT: dict[str, tuple[object, str, object, str, str]] = {
     "watchdog": (preparation.Preparation, "watchdog", _empty, "cia402", "watchdog"),
     "negative sign": (Compensation, "values", _unsigned, "leadshine-el7", "compensation"),
     "conditions": (acts, "conditions", _nothing, "everything", "conditions"),
+    "own estimate": (acts, "own_estimate", _nothing, "everything", "own_estimates"),
     "identity": ("commissioning.performance.clauses", "agreed", _nothing, "elmo-gold", "identity"),
     "patience": ("drivers.access", "patiently", lambda action, *_: action(), "everything", "link"),
     "patience of a mode": (

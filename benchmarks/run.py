@@ -23,6 +23,7 @@ from benchmarks.fleet import fleet  # noqa: E402
 from benchmarks.history import history  # noqa: E402
 from benchmarks.links import WIRES, links, served  # noqa: E402
 from benchmarks.methods import methods  # noqa: E402
+from benchmarks.panel import panel  # noqa: E402
 from benchmarks.plants import plants  # noqa: E402
 from benchmarks.stop_times import stop_times  # noqa: E402
 from benchmarks.units import units  # noqa: E402
@@ -196,7 +197,7 @@ def main() -> None:
         tables: dict[str, Callable[[], list[str]]] = {
             "wires": wires, "speed": speed, "links": links, "critical_point": critical_point, "units": units,
             "stop_times": stop_times, "fleet": fleet, "history": history,
-            "drift": drift, "plants": plants, "methods": methods,
+            "drift": drift, "plants": plants, "methods": methods, "panel": panel,
         }  # fmt: skip
         for name in sys.argv[1:] or tables:
             lines = tables[name]()

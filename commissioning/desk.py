@@ -14,6 +14,7 @@ from commissioning.ownership import announce, owned
 from commissioning.processes import is_alive, this_process
 from commissioning.records import RunContext
 from commissioning.runner import Recorder
+from commissioning.watching import NOBODY, Telling, Watcher
 from drivers.drive import Drive
 from drivers.link import open_drive
 from drivers.link_text import is_simulated
@@ -31,7 +32,8 @@ __all__ = ["Desk", "Options", "begin_run", "connect", "none_unfinished", "same_d
 class Options:
     """What the user asks for; None: take the axis', the drive's or the product's own.
 
-    `writes`: what is found will be written at once. `serial`: which drive it has to be.
+    `writes`: what is found will be written at once, and with `ask_each` agreed to on its own.
+    `serial`: which drive it has to be.
     `motor_temperature`: °C, where the drive tells none.
     """
 
@@ -50,6 +52,7 @@ class Options:
     without_watchdog: bool = False
     dry_run: bool = False
     writes: bool = False
+    ask_each: bool = False
     serial: str | None = None
     motor_temperature: float | None = None
 
@@ -63,6 +66,7 @@ class Desk:
     tell : one line for people about what happens
     done : the last act came to its end, and its run says so
     recorder : of what moves, or moved last
+    watcher : shown how the job goes on; default: `tell` has a line of each phase
     confirm : (question, word to be typed) → whether it was typed; raises Refused without a terminal
     """
 
@@ -73,10 +77,15 @@ class Desk:
     trace: Callable[..., None] | None = None
     done: bool = False
     recorder: Recorder | None = None
+    watcher: Watcher = NOBODY
+
+    def __post_init__(self) -> None:
+        if self.watcher is NOBODY:
+            self.watcher = Telling(self.tell)
 
     def record(self) -> Recorder:
-        """A recorder of what is to move now, whose phases are told."""
-        self.recorder = Recorder(on_phase=self.tell)
+        """A recorder of what is to move now, which is watched."""
+        self.recorder = Recorder(watcher=self.watcher)
         return self.recorder
 
     @contextlib.contextmanager

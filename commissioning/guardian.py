@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
-import queue
 import secrets
 import socket
 import subprocess
@@ -19,8 +17,9 @@ import sys
 import threading
 from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
+from commissioning.pipes import Line, never_waiting
 from commissioning.processes import start
 from drivers.drive import Drive
 from drivers.errors import DriveFault, PreflightRefused
@@ -53,9 +52,9 @@ class Guardian:
         self._is_dead = False
         self.said: list[str] = []
         self._ear: threading.Thread | None = None
-        self._line: _Line | None = None
+        self._line: Line | None = None
         if process is not None and process.stdin is not None:
-            self._line = _never_waiting(process.stdin.fileno())
+            self._line = never_waiting(process.stdin.fileno(), DISMISS)
             self._ear = threading.Thread(target=self._hear, args=(process,), daemon=True)
             self._ear.start()
 
@@ -287,65 +286,3 @@ def _line_within(process: subprocess.Popen[bytes], seconds: float) -> bytes:
     finally:
         timer.cancel()
         timer.join()
-
-
-class _Line(Protocol):
-    """A pipe to the guardian that makes nobody wait."""
-
-    def write(self, word: bytes) -> None:
-        """Raises BlockingIOError where the pipe is full, another OSError where nobody reads."""
-
-    def end(self) -> None:
-        """What was written last has left."""
-
-
-def _never_waiting(descriptor: int) -> _Line:
-    if sys.platform == "win32" and sys.version_info < (3, 12):
-        return _Background(descriptor)
-    return _Pipe(descriptor)
-
-
-class _Pipe:
-    """A pipe that was told not to wait."""
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-        if sys.platform != "win32" or sys.version_info >= (3, 12):
-            os.set_blocking(descriptor, False)
-
-    def write(self, word: bytes) -> None:
-        os.write(self._descriptor, word)
-
-    def end(self) -> None:
-        """It has left at once, or never will."""
-
-
-class _Background:
-    """A pipe that cannot be told not to wait, written to from a thread of its own."""
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-        self._words: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-        self._is_broken = False
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def write(self, word: bytes) -> None:
-        """One word more; raises BrokenPipeError once nobody reads."""
-        if self._is_broken:
-            raise BrokenPipeError
-        self._words.put(word)
-
-    def end(self) -> None:
-        """Wait for what was written last, within reason."""
-        self._thread.join(_ENDING)
-
-    def _run(self) -> None:
-        word = b""
-        while word != DISMISS:
-            word = self._words.get()
-            try:
-                os.write(self._descriptor, word)
-            except OSError:
-                self._is_broken = True
-                return

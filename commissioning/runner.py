@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, TypeVar
@@ -14,6 +13,8 @@ from commissioning.experiments.plan import Plan
 from commissioning.guardian import NOBODY, Guardian
 from commissioning.interruption import Interruption
 from commissioning.ownership import stopped_by
+from commissioning.watching import NOBODY as NO_WATCHER
+from commissioning.watching import Watcher
 from drivers.drive import Drive, StopReport
 from drivers.errors import DriveFault
 from drivers.realtime import real_time
@@ -51,22 +52,22 @@ class Recorder:
     ----------
     samples : in the order of time
     phases : in the order of time
-    on_phase : told about each phase, for progress
+    watcher : told about each phase, and shown each sample
     """
 
     samples: list[Sample] = field(default_factory=list)
     phases: list[Phase] = field(default_factory=list)
-    on_phase: Callable[[str], None] = lambda text: None
+    watcher: Watcher = NO_WATCHER
 
     def phase(self, text: str) -> None:
         """From the next sample on, `text` happens."""
         self.phases.append(Phase(len(self.samples), "step", text))
-        self.on_phase(text)
+        self.watcher.phase(text)
 
     def detail(self, text: str) -> None:
         """From the next sample on, `text` happens within a step."""
         self.phases.append(Phase(len(self.samples), "detail", text))
-        self.on_phase(text)
+        self.watcher.phase(text)
 
 
 def run(
@@ -99,6 +100,7 @@ def run(
     record, check = recorder.samples.append, watch.check
     admit = watch.admit if mode is Mode.TORQUE else watch.admit_position
     exchange, send, feed = drive.exchange, plan.send, guardian.feed
+    samples, show = recorder.samples, recorder.watcher.cycle
     urgent = real_time() if drive.in_real_time else nullcontext()
     with interruption.deferred(), _collector_off(), urgent:
         try:
@@ -115,6 +117,7 @@ def run(
                     if not sample.status.enabled:
                         raise _left_operation(drive)
                     check(sample)
+                    show(samples, mode)
                     if interruption.signal is not None:
                         interruption.check()
                     set_point = send(sample)

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import click
 
+from commissioning.cli.acting import at_desk
 from commissioning.cli.options import verbose
-from commissioning.cli.terminal import Screen, at_desk
+from commissioning.cli.terminal import Screen
 
 __all__ = ["command"]
 

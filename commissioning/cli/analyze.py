@@ -6,9 +6,12 @@ from pathlib import Path
 
 import click
 
+from commissioning.cli.acting import at_desk, check_json, write_json
+from commissioning.cli.job import Finite
 from commissioning.cli.junit import junit_option
 from commissioning.cli.options import verbose
-from commissioning.cli.terminal import Finite, Screen, at_desk, axis_from, check_json, write_json
+from commissioning.cli.targets import axis_from
+from commissioning.cli.terminal import Screen
 from commissioning.result.readings import MethodName
 
 __all__ = ["command"]

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import click
 
+from commissioning.cli.acting import act_on, at_desk, check_json, write_json
 from commissioning.cli.junit import junit_option
 from commissioning.cli.options import verbose
-from commissioning.cli.terminal import Screen, act_on, at_desk, check_json, write_json
+from commissioning.cli.terminal import Screen
 
 if TYPE_CHECKING:
+    from commissioning.result.changes import Change
     from commissioning.result.document import RunResult
 
 __all__ = ["command", "write"]
@@ -40,8 +43,7 @@ def command(
     screen = Screen(json_target, yes=yes)
     result = write(run, link, screen, json_target, gains)
     write_json(result, json_target)
-    if result.written:
-        screen.say(f"to take it back: tworelay restore {result.run}")
+    show.in_the_drive(result, screen)
     show.ending(result, screen)
 
 
@@ -54,7 +56,14 @@ def write(
 ) -> RunResult:
     """Apply with the proposal shown; on failure write the JSON too, then raise."""
     from commissioning.cli import show
+    from commissioning.ending import of_run
+    from commissioning.runs import resolve
     from commissioning.session.apply import apply
 
     with at_desk(screen) as desk, act_on(run, desk, screen, json_target):
-        return apply(run, link, desk, lambda changes: show.proposal(changes, screen), gains)
+
+        def to_write(changes: Sequence[Change]) -> None:
+            show.found(of_run(desk, resolve(desk.journal, run)[0]), screen)
+            show.proposal(changes, screen)
+
+        return apply(run, link, desk, to_write, gains)

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from commissioning.cli.job import Job
 from commissioning.cli.options import verbose
-from commissioning.cli.terminal import Job, Screen
+from commissioning.cli.terminal import Screen
 from commissioning.interruption import Interruption
 from commissioning.processes import start
 from drivers.errors import LinkError
@@ -68,7 +69,8 @@ def command(clock: str, fleet: bool) -> None:
             screen.say()
             screen.say("$ tworelay identify " + " ".join(arguments))
             asked = identify.make_context("identify", arguments).params
-            result = measure(link, screen, Job.of(asked))
+            with screen.watching("identify") as watcher:
+                result = measure(link, screen, Job.of(asked), watcher)
             show.summary(result, screen)
             _against_truth(result, truth, screen)
             screen.say()
@@ -82,7 +84,7 @@ def command(clock: str, fleet: bool) -> None:
             server.terminate()
     screen.say()
     say_report(run, screen)
-    screen.say(f"to take it back: tworelay restore {run}")
+    show.in_the_drive(result, screen)
     show.ending(result, screen)
 
 

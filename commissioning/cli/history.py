@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 
 import click
 
+from commissioning.cli.acting import at_desk, check_json
+from commissioning.cli.job import Finite
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text, written
-from commissioning.cli.terminal import Finite, Screen, at_desk, check_json
+from commissioning.cli.terminal import Screen
 from profiles.axis import load_axis
 from profiles.errors import UnknownName, UsageError
 

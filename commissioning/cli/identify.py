@@ -8,19 +8,15 @@ from typing import TYPE_CHECKING
 
 import click
 
+from commissioning.cli.acting import at_desk, check_json, write_json
+from commissioning.cli.job import Job, job_options
 from commissioning.cli.junit import junit_option
-from commissioning.cli.terminal import (
-    Job,
-    Screen,
-    at_desk,
-    check_json,
-    job_options,
-    write_json,
-)
+from commissioning.cli.terminal import Screen
 from profiles.errors import UsageError
 
 if TYPE_CHECKING:
     from commissioning.result.document import RunResult
+    from commissioning.watching import Watcher
 
 __all__ = ["command", "measure"]
 
@@ -35,7 +31,8 @@ def command(target: str, job: Job) -> None:
 
     check_json(job.json_target)
     screen = Screen(job.json_target, yes=job.yes)
-    result = measure(target, screen, job)
+    with screen.watching("identify") as watcher:
+        result = measure(target, screen, job, watcher)
     write_json(result, job.json_target)
     if job.dry_run:
         return
@@ -44,7 +41,9 @@ def command(target: str, job: Job) -> None:
     show.ending(result, screen)
 
 
-def measure(target: str, screen: Screen, job: Job, *, writes: bool = False) -> RunResult:
+def measure(
+    target: str, screen: Screen, job: Job, watcher: Watcher, *, writes: bool = False
+) -> RunResult:
     """Run the experiments; on failure write the JSON too, then raise.
 
     `writes` : what is found will be written at once
@@ -55,10 +54,9 @@ def measure(target: str, screen: Screen, job: Job, *, writes: bool = False) -> R
     from commissioning.session.identify import identify
 
     axis, options = job.axis(target), replace(job.options(), writes=writes)
-    with tracer(job.trace, axis.link) as trace, at_desk(screen, trace) as desk:
+    with tracer(job.trace, axis.link) as trace, at_desk(screen, trace, watcher=watcher) as desk:
         try:
-            with screen.working(f"{axis.name}: measuring"):
-                return identify(axis, options, desk)
+            return identify(axis, options, desk)
         except Failure as failure:
             if failure.error.exit_code >= 3:
                 with contextlib.suppress(UsageError):  # the first error is the one to be told

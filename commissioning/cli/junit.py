@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from commissioning.cli import output
-from commissioning.cli.terminal import check_json
+from commissioning.cli.acting import check_json
 from profiles.errors import TwoRelayError, UsageError
 
 if TYPE_CHECKING:

@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from commissioning.cli.acting import at_desk
+from commissioning.cli.job import Finite, travel_from
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text
-from commissioning.cli.terminal import Finite, Screen, at_desk, axis_from, travel_from
+from commissioning.cli.targets import axis_from
+from commissioning.cli.terminal import Screen
 
 if TYPE_CHECKING:
     from commissioning.result.found import Quantity

@@ -13,6 +13,7 @@ import os
 import sys
 from collections.abc import Generator
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import click
@@ -21,12 +22,33 @@ from profiles.plain import plain, plain_lines
 
 RESULT, AXIS = "tworelay.result", "tworelay.axis"  # what a command has come to, in its context
 
+_NARROWEST, _DEEPEST = 40, 16  # characters of a terminal, and of what a line is set back by
+
 __all__ = ["AXIS", "RESULT", "document", "giving_up", "json_text", "say", "written"]
 
 
-def say(text: str = "", *, err: bool = False) -> None:
-    """One line for people."""
-    _write(plain(text) + "\n", err=err)
+def say(text: str = "", *, err: bool = False, style: str | None = None) -> None:
+    """One line for people, folded between words on a terminal.
+
+    `style` : a colour, on terminals that are to have any
+    """
+    shown = "\n".join(_folded(plain(text), sys.stderr if err else sys.stdout))
+    is_coloured = style is not None and not os.environ.get("NO_COLOR")
+    _write((click.style(shown, fg=style) if is_coloured else shown) + "\n", err=err)
+
+
+def _folded(text: str, stream: Any) -> list[str]:
+    """Lines of a terminal's width; of anything else as it is."""
+    try:
+        if len(text) <= _NARROWEST or not stream.isatty():
+            return [text]
+        width = max(os.get_terminal_size(stream.fileno()).columns, _NARROWEST)
+    except (OSError, ValueError):
+        return [text]
+    indent = " " * min(len(text) - len(text.lstrip()) + 2, _DEEPEST)
+    return wrap(
+        text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    ) or [text]
 
 
 def document(text: str, *, err: bool = False) -> None:

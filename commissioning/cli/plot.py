@@ -7,9 +7,9 @@ from pathlib import Path
 
 import click
 
+from commissioning.cli.job import Finite
 from commissioning.cli.options import verbose
 from commissioning.cli.output import say, written
-from commissioning.cli.terminal import Finite
 from profiles.errors import Refused, UsageError
 
 __all__ = ["command"]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import click
 
+from commissioning.cli.acting import act_on, at_desk
 from commissioning.cli.options import verbose
-from commissioning.cli.terminal import Screen, act_on, at_desk
+from commissioning.cli.terminal import Screen
 
 __all__ = ["command"]
 

@@ -6,9 +6,10 @@ from typing import Any
 
 import click
 
+from commissioning.cli.job import Finite
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text
-from commissioning.cli.terminal import Finite, Screen
+from commissioning.cli.terminal import Screen
 
 __all__ = ["command"]
 

@@ -6,19 +6,25 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from commissioning.cli.terminal import Screen
+from commissioning.identification.reasons import Weight
 from commissioning.result.words import (
     LOOP_TITLES,
     POINT_LABELS,
     QUANTITY_LABELS,
     VERDICTS,
     act_ended,
+    distorted,
     duration,
+    found_as,
     gains_text,
     helps,
     interval,
     nothing_proposed,
     number,
     repeated,
+    si,
+    tone,
+    unit,
     why_not,
 )
 
@@ -32,7 +38,14 @@ if TYPE_CHECKING:
     from drivers.drive import Drive
     from profiles.axis import Axis
 
-__all__ = ["adopted", "ending", "going_back", "outcome", "proposal", "summary", "verification"]
+__all__ = [
+    "adopted", "ending", "found", "going_back", "in_the_drive", "outcome", "proposal", "summary",
+    "verification",
+]  # fmt: skip
+
+
+_COLOURS = {"good": "green", "doubt": "yellow", "bad": "red"}
+_VERDICT_COLOURS = {"good": "green", "usable": "yellow", "curve-only": "yellow", "rejected": "red"}
 
 
 def _in_drive(found: Quantity) -> str:
@@ -45,11 +58,50 @@ def _in_drive(found: Quantity) -> str:
     return f"{found.raw:.1f} x {found.raw_unit}"
 
 
+def found(result: RunResult, screen: Screen) -> None:
+    """Verdict and friction: the number that matters."""
+    quality, friction = result.quality, result.friction.coulomb
+    text = VERDICTS[quality.verdict]
+    if friction is not None:
+        counted = _in_drive(friction)
+        text += f": Coulomb friction {found_as(friction)}" + (f", {counted}" if counted else "")
+    screen.say(text, _VERDICT_COLOURS.get(quality.verdict or ""))
+
+
 def summary(result: RunResult, screen: Screen) -> None:
-    """What was found."""
+    """What was found; with its theory where that is asked for."""
+    if screen.verbose:
+        _in_full(result, screen)
+        return
+    found(result, screen)
+    for keys in (("offset", "viscous"), ("inertia", "dead_time")):
+        told = [
+            f"{QUANTITY_LABELS[key]} {found_as(quantity)}"
+            for key in keys
+            if (quantity := result.friction.quantity(key)) is not None
+        ]
+        if told:
+            screen.say(f"  {', '.join(told)}")
+    if result.experiment is not None and result.experiment.spread is not None:
+        coulomb = result.friction.coulomb
+        if coulomb is not None:
+            screen.say(f"  {repeated(result.experiment, coulomb)}")
+    if wrong := distorted(result):
+        screen.say(f"  {wrong}")
+    told = [reason.text for reason in result.quality.reasons if reason.weight is not Weight.NOTE]
+    for text in told or [reason.text for reason in result.quality.reasons if _is_needed(result)]:
+        screen.say(f"  {text}")
+
+
+def _is_needed(result: RunResult) -> bool:
+    """Whether notes are all that says why a run is not good."""
+    return result.quality.verdict != "good"
+
+
+def _in_full(result: RunResult, screen: Screen) -> None:
     found = result.friction
     rows = [
-        [name, number(q.value, q.unit), interval(q.low, q.high), _in_drive(q)]
+        [name, si(q.value, q.unit), interval(q.low, q.high), _in_drive(q)]
         for key, name in QUANTITY_LABELS.items()
         if (q := getattr(found, key)) is not None
     ]
@@ -58,8 +110,8 @@ def summary(result: RunResult, screen: Screen) -> None:
     if f is not None and offset is not None:
         up, down = offset.value + f.value, offset.value - f.value
         screen.say(
-            f"torque that overcomes friction and offset: {up:+.4g} {f.unit} one way, "
-            f"{down:+.4g} {f.unit} the other"
+            f"torque that overcomes friction and offset: {up:+.4g} {unit(f.unit)} one way, "
+            f"{down:+.4g} {unit(f.unit)} the other"
         )
     if result.experiment is not None and result.experiment.spread is not None and f is not None:
         screen.say(repeated(result.experiment, f))
@@ -175,7 +227,10 @@ def _frequency(value: float | None) -> str:
 def outcome(result: RunResult, screen: Screen) -> None:
     """What can be done about it now."""
     if result.compensation:
-        proposal(result.compensation, screen)
+        if screen.verbose:
+            proposal(result.compensation, screen)
+        else:
+            screen.say(f"proposed: {_values(result.compensation)}")
         screen.say(f"to write it: tworelay apply {result.run}")
     else:
         screen.say(nothing_proposed(result))
@@ -183,15 +238,35 @@ def outcome(result: RunResult, screen: Screen) -> None:
 
 def ending(result: RunResult, screen: Screen) -> None:
     """The line of truth, and the run."""
-    screen.say(act_ended(result))
+    screen.say(act_ended(result), _COLOURS[tone(result)])
     if result.run is not None:
         screen.say(f"run {result.run}")
+
+
+def _values(changes: Sequence[Change]) -> str:
+    """Parameters and what they are set to."""
+    return ", ".join(f"{one.parameter} {si(one.new, one.unit)}" for one in changes)
+
+
+def in_the_drive(result: RunResult, screen: Screen) -> None:
+    """What this run has left in the drive, and the way back."""
+    if not result.written:
+        return
+    there = ", ".join(
+        f"{one.parameter} {one.raw if one.value is None else si(one.value, one.unit)}"
+        for one in result.written
+    )
+    screen.say(f"in the drive: {there}")
+    screen.say(f"to take it back: tworelay restore {result.run}")
 
 
 def verification(result: RunResult, screen: Screen) -> None:
     """How the axis followed, without and with the compensation."""
     found = result.verification
     if found is None:
+        return
+    if not screen.verbose:
+        screen.say(helps(found), "green" if found.kept is not None else "yellow")
         return
     rows = [
         [

@@ -7,8 +7,10 @@ import os
 
 import click
 
+from commissioning.cli.acting import at_desk
 from commissioning.cli.options import verbose
-from commissioning.cli.terminal import Screen, at_desk, axis_from
+from commissioning.cli.targets import axis_from
+from commissioning.cli.terminal import Screen
 
 __all__ = ["command"]
 

@@ -6,18 +6,11 @@ from dataclasses import replace
 
 import click
 
+from commissioning.cli.acting import act_on, at_desk, check_json, write_json
+from commissioning.cli.job import Finite, Job, job_options
 from commissioning.cli.junit import junit_option
-from commissioning.cli.terminal import (
-    Finite,
-    Job,
-    Screen,
-    act_on,
-    at_desk,
-    check_json,
-    is_target,
-    job_options,
-    write_json,
-)
+from commissioning.cli.targets import is_target
+from commissioning.cli.terminal import Screen
 
 __all__ = ["command"]
 
@@ -57,7 +50,8 @@ def command(
     screen = Screen(json_target, yes=job.yes)
     run = target
     if is_target(target):
-        measured = measure(target, screen, replace(job, points=True))
+        with screen.watching("tune") as watcher:
+            measured = measure(target, screen, replace(job, points=True), watcher)
         if job.dry_run:
             write_json(measured, json_target)
             return

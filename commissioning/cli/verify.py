@@ -6,17 +6,11 @@ from typing import TYPE_CHECKING
 
 import click
 
+from commissioning.cli.acting import act_on, at_desk, check_json, write_json
+from commissioning.cli.job import Finite, travel_from
 from commissioning.cli.junit import junit_option
 from commissioning.cli.options import verbose
-from commissioning.cli.terminal import (
-    Finite,
-    Screen,
-    act_on,
-    at_desk,
-    check_json,
-    travel_from,
-    write_json,
-)
+from commissioning.cli.terminal import Screen
 
 if TYPE_CHECKING:
     from commissioning.result.document import RunResult
@@ -63,6 +57,7 @@ def command(
     wishes = Wishes(travel_from(travel), max_speed, cycle, without_watchdog)
     result = prove(run, link, screen, json_target, wishes)
     write_json(result, json_target)
+    show.in_the_drive(result, screen)
     show.ending(result, screen)
 
 
@@ -74,9 +69,9 @@ def prove(
     from commissioning.session.verify import verify
 
     with (
-        at_desk(screen) as desk,
+        screen.watching("verify") as watcher,
+        at_desk(screen, watcher=watcher) as desk,
         act_on(run, desk, screen, json_target),
-        screen.working("verifying"),
     ):
         result = verify(run, link, desk, wishes)
     show.verification(result, screen)

@@ -9,9 +9,9 @@ from commissioning.errors import MeasurementRejected
 from commissioning.experiments.plan import Context, Plan
 from drivers.sample import Sample
 
-__all__ = ["TURNS", "TrackingPath", "TrackingSamples", "path_for", "track"]
+__all__ = ["SWING", "TURNS", "TrackingPath", "TrackingSamples", "path_for", "track"]
 
-_SHARE = 0.2  # of the travel: amplitude of the reversals
+SWING = 0.4  # of the travel: from one reversal to the other
 _SPEED = 0.1  # of the speed limit, at most
 _PERIOD = 2.0  # s, at least
 _INERTIAL = 0.3  # torque that accelerates the axis, in shares of the friction, at most
@@ -36,6 +36,11 @@ class TrackingPath:
     period: float
     creep: float
 
+    @property
+    def seconds(self) -> float:
+        """Time of the whole path."""
+        return (1 + TURNS) * self.period + 2 * _CREEP_TIME + _REST_TIME
+
 
 @dataclass(frozen=True, slots=True)
 class TrackingSamples:
@@ -48,7 +53,7 @@ class TrackingSamples:
 
 def path_for(context: Context, coulomb: float, inertia: float | None) -> TrackingPath:
     """A path so slow that friction and not inertia makes the error."""
-    amplitude = max(_SHARE * context.travel, 50 * context.resolution)
+    amplitude = max(SWING / 2 * context.travel, 50 * context.resolution)
     slow = pi * 2 * amplitude / (_SPEED * context.speed)  # s: peak speed 2 pi A / T
     light = 2 * pi * (amplitude * (inertia or 0.0) / (_INERTIAL * coulomb)) ** 0.5
     creep = max(_CREEP * amplitude, 20 * context.resolution)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime
 from math import floor, log10
+from typing import Literal
 
 from commissioning.result.changes import Change, Host
 from commissioning.result.document import RunResult
@@ -23,7 +24,9 @@ __all__ = [
     "act_ended",
     "axis_words",
     "change_state",
+    "distorted",
     "duration",
+    "found_as",
     "gains_lines",
     "gains_text",
     "helps",
@@ -36,6 +39,9 @@ __all__ = [
     "percent",
     "remaining",
     "repeated",
+    "si",
+    "tone",
+    "uncertain",
     "unit",
     "why_not",
 ]
@@ -95,6 +101,51 @@ def measured(value: float, low: float | None, high: float | None, of: str = "") 
         return number(value, of)
     digits = 1 - floor(log10((high - low) / 2))
     return f"{round(value, digits) + 0.0:.6g} {of}".rstrip()
+
+
+_SKEWED = 0.15  # of the interval: the value is so far from its middle that both ends are said
+_POWERS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def uncertain(value: float, low: float | None, high: float | None, of: str = "") -> str:
+    """A value and half of its interval, to two digits of that, and the unit.
+
+    Both ends where the value is not in their middle: '2.59 (2.43 … 2.73) N·m'.
+    """
+    if low is None or high is None or not high > low:
+        return number(value, of)
+    half = (high - low) / 2
+    power = 3 * floor(log10(max(abs(value), half)) / 3)
+    power = power if not -5 < log10(max(abs(value), half)) < 6 else 0
+    value, low, high, half = (one / 10.0**power for one in (value, low, high, half))
+    digits = max(1 - floor(log10(half)), 0)
+
+    def said(one: float) -> str:
+        shown = round(one, digits) + 0.0
+        return f"{shown:.{digits}f}" if shown else "0"
+
+    is_skewed = abs(value - (low + high) / 2) > _SKEWED * half
+    ends = f"({said(low)} … {said(high)})" if is_skewed else f"± {said(half)}"
+    text = f"{said(value)} {ends}"
+    if power:
+        text = f"({text})" if not is_skewed else text
+        text += f"·10{str(power).translate(_POWERS)}"
+    return f"{text} {of}".rstrip()
+
+
+def found_as(found: Quantity) -> str:
+    """A quantity with its interval and its unit."""
+    ends = found.value, found.low, found.high
+    if found.unit != "s":
+        return uncertain(*ends, unit(found.unit))
+    value, low, high = (None if one is None else 1000 * one for one in ends)
+    assert value is not None
+    return uncertain(value, low, high, "ms")
+
+
+def si(value: float, of: str) -> str:
+    """Four digits and the unit, as it is printed."""
+    return number(value, unit(of))
 
 
 def unit(ascii_name: str) -> str:
@@ -210,13 +261,28 @@ def nothing_proposed(result: RunResult) -> str:
     return "this drive has no friction compensation to write to: identify and report only"
 
 
+def distorted(result: RunResult) -> str:
+    """How wrong a relay autotuner would be on this axis; '' where that is not known."""
+    points = result.critical_point
+    if points is None or points.naive is None or points.corrected is None:
+        return ""
+    gain = 100 * (points.naive.gain / points.corrected.gain - 1)
+    turned = points.naive.phase_deg - points.corrected.phase_deg
+    return (
+        f"a relay autotuner would have the gain of the critical point wrong by {gain:+.0f} %, its "
+        f"phase by {turned:+.1f}°"
+    )
+
+
 def helps(found: Verification) -> str:
     """What a proof says."""
     kept = found.kept
     if kept is None or found.percent is None:
         return "verified: the compensation did not help; the old values were put back"
+    before = found.steps[0].reversal_error
     return (
-        f"verified: {found.percent:.0f} % less error after reversals with {100 * kept.fraction:g} "
+        f"verified: {found.percent:.0f} % less error after reversals "
+        f"({before:.3g} → {kept.reversal_error:.3g} {found.unit}) with {100 * kept.fraction:g} "
         "% of the friction compensated"
     )
 
@@ -263,6 +329,24 @@ def act_ended(result: RunResult) -> str:
     if ending.said_by is not None:
         parts.append(f"ended by {ending.said_by}")
     return "; ".join(parts)
+
+
+def tone(result: RunResult) -> Literal["good", "doubt", "bad"]:
+    """What the line of truth means: all is well, something is to be looked at, or to be done."""
+    ending = result.ending
+    if ending is None or ending.axis in (AxisState.ENABLED, AxisState.NOT_VERIFIED):
+        return "bad"
+    if ending.settings is not None and ending.settings.names:
+        return "bad"
+    there = ending.drive
+    if there is not None and there.compensation is CompensationState.NOT_KNOWN:
+        return "bad"
+    lost = there is not None and (
+        there.compensation is CompensationState.PARTLY
+        or (there.compensation is CompensationState.OF_RUN and not there.stored)
+        or (there.compensation is CompensationState.AS_FOUND and there.stored is not None)
+    )
+    return "doubt" if lost or ending.axis is AxisState.NOT_RECORDED else "good"
 
 
 def _settings(state: SettingsState, run: str) -> str:

@@ -5,7 +5,7 @@ Checks, arming, journal and record around whatever work is done in it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from commissioning.desk import Desk, Options, begin_run, connect, drive_line, none_unfinished
@@ -23,15 +23,18 @@ from commissioning.identification.reasons import Reason, Weight
 from commissioning.result.document import Quality, RunResult
 from commissioning.result.endings import AxisState
 from commissioning.result.experiment import Allowed
+from commissioning.result.words import remaining
 from commissioning.rig import preflight
 from commissioning.rig.conditions import conditions
 from commissioning.rig.dry_run import would_write
+from commissioning.rig.expected import of_commissioning, setting_of, to_one_side
 from commissioning.rig.preflight import check_watchdog, choose_limits, look
 from commissioning.rig.results import Rejected, experiment
 from commissioning.rig.rig import Rig
 from commissioning.runs import RunFolder
 from commissioning.samples import Samples
 from commissioning.settings import Settings
+from commissioning.watching import Step
 from drivers.drive import Drive
 from drivers.writing import why_not_written
 from profiles.axis import Axis
@@ -92,10 +95,14 @@ def _run(axis: Axis, options: Options, desk: Desk, drive: Drive, draft: _Draft, 
         desk.tell(line)
     limits = fit(axis, options, desk, drive)
     if options.dry_run:
-        draft.result = _dry_run(axis, drive, limits, desk, draft.result)
+        draft.result = _dry_run(axis, options, drive, limits, desk, draft.result)
         return
-    desk.agree(_arming_text(axis, limits), axis.name, "nothing was moved or written")
+    desk.agree(
+        _arming_text(axis, options, drive, limits), axis.name, "nothing was moved or written"
+    )
     limits = fit(axis, options, desk, drive)  # the question may have stood for long
+    measuring, after = of_commissioning(options, axis, drive, limits)
+    desk.watcher.begins(setting_of(axis, drive, limits), [*measuring, *after])
     _begun(axis, options, desk, drive, draft, limits, work)
 
 
@@ -191,21 +198,45 @@ def noted(guardian: Guardian) -> list[str]:
     return [acted, *(f"guardian: {line}" for line in guardian.said[1:])] if acted else []
 
 
-def _arming_text(axis: Axis, limits: preflight.Limits) -> str:
+def _arming_text(axis: Axis, options: Options, drive: Drive, limits: preflight.Limits) -> str:
+    """What will move, how far and how long; and what comes after it, act by act."""
     p, e = axis.position_unit, axis.effort_unit
+    measuring, after = of_commissioning(options, axis, drive, limits)
+    move = (
+        f"MOVE axis '{axis.name}' by itself for about {_seconds(measuring)}, within "
+        f"±{limits.travel:.4g} {p} of its present position; it is stopped there, at "
+        f"{limits.torque:.4g} {e} and at {limits.speed:.4g} {p}/s"
+    )
+    acts = [move]
+    if after and not options.ask_each:
+        names = ", ".join(drive.compensation.written)
+        way = f"{to_one_side(limits):.3g} {p} to one side and back"
+        acts += [
+            f"WRITE the compensation that is found: {names}",
+            f"MOVE in position mode, slowly, {way}, for about {_seconds(after)}",
+            "STORE what helps, or put the old values back",
+        ]
+    told = acts[0] if len(acts) == 1 else "; ".join(f"{n}. {act}" for n, act in enumerate(acts, 1))
     return (
-        f"Axis '{axis.name}' will MOVE by itself: up to ±{limits.travel:.4g} {p} about its present "
-        f"position, with up to {limits.torque:.4g} {e} and {limits.speed:.4g} {p}/s, for about a "
-        "minute. tworelay is not a safety function: keep people clear and the emergency stop in "
-        "reach."
+        f"This will {told}. tworelay is not a safety function: keep people clear and the emergency "
+        "stop in reach."
     )
 
 
+def _seconds(steps: Sequence[Step]) -> str:
+    return remaining(sum(step.seconds for step in steps))
+
+
 def _dry_run(
-    axis: Axis, drive: Drive, limits: preflight.Limits, desk: Desk, result: RunResult
+    axis: Axis,
+    options: Options,
+    drive: Drive,
+    limits: preflight.Limits,
+    desk: Desk,
+    result: RunResult,
 ) -> RunResult:
     """Say what would be written; write nothing."""
-    desk.tell(_arming_text(axis, limits))
+    desk.tell(_arming_text(axis, options, drive, limits))
     for line in would_write(drive, axis, limits):
         desk.tell(line)
     desk.tell("dry run: nothing was written or moved")

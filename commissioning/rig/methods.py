@@ -42,6 +42,7 @@ from commissioning.identification.verdict import (
     within_short,
 )
 from commissioning.result.readings import MethodName, Methods
+from commissioning.rig.expected import POINTS, oscillating
 from commissioning.rig.measured import Measured, Oscillation
 from commissioning.rig.oscillated import knob, oscillate, read_by_law, shown, whole
 from commissioning.rig.points import points
@@ -73,9 +74,15 @@ def repeated(rig: Rig) -> list[Measured]:
     method = method_of(rig.options.method)
     ready = rig.prepare(method.pace)
     found = []
-    for _ in range(rig.options.repeat):
+    repeats, watcher = rig.options.repeat, rig.recorder.watcher
+    for number in range(1, repeats + 1):
+        watcher.step(oscillating(number, repeats))
         found.append(_once(method, ready))
         ready = found[-1].ready
+        known = found[-1].found.coulomb
+        watcher.friction(known.value, known.low, known.high)
+    if rig.options.points:
+        watcher.step(POINTS)
     try:
         points(found[-1], move=rig.options.points)
     except (ValueError, ArithmeticError) as error:

@@ -13,6 +13,7 @@ from commissioning.experiments.plan import Plan
 from commissioning.identification.critical_point import from_model
 from commissioning.identification.reading import Reader
 from commissioning.identification.record import Record
+from commissioning.rig.expected import lasting
 from commissioning.rig.measured import Measured, Oscillation
 from commissioning.rig.ready import Ready
 
@@ -40,6 +41,8 @@ def oscillate(
             )
         )  # fmt: skip
 
+    periods = relay_periods + sum(stretch.measure for stretch in stretches)
+    ready.watcher.lasts(lasting(periods, period or ready.design.period))
     return ready.run(plan())
 
 

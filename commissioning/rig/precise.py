@@ -100,6 +100,7 @@ def _measured(ready: Ready) -> Measured:
                 continue
         if before is not None and not fitted.is_explained:
             break  # the axis has changed: what the first periods showed is a number of its own
+        ready.watcher.friction(fitted.coulomb.value, fitted.coulomb.low, fitted.coulomb.high)
         now.by[MethodName.OUTPUT_ERROR] = fitted
         now.reasons = of_output_error(fitted, ready.options.precision, ready.units)
         before = now

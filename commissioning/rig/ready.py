@@ -23,6 +23,7 @@ from commissioning.identification.output_error import OutputErrorEstimate
 from commissioning.identification.record import Record, trusted, unfiltered
 from commissioning.identification.verdict import UnitNames
 from commissioning.rig.mover import Mover
+from commissioning.watching import Watcher
 from drivers.errors import PreflightRefused
 from drivers.sample import Sample
 
@@ -119,6 +120,11 @@ class Ready:
             if isinstance(error, FeedbackReversed) or self.mover.is_energised:
                 raise
             raise MeasurementRejected(str(error), code="measurement.limit") from None
+
+    @property
+    def watcher(self) -> Watcher:
+        """Whoever looks on."""
+        return self.mover.recorder.watcher
 
     @property
     def time_left(self) -> float:

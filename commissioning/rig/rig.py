@@ -19,6 +19,7 @@ from commissioning.guardian import Guardian
 from commissioning.identification.record import Record
 from commissioning.identification.verdict import UnitNames
 from commissioning.result.experiment import Allowed
+from commissioning.rig.expected import AT_REST, FIRST_MOTIONS, STOP_PATH, context_of
 from commissioning.rig.mover import Mover
 from commissioning.rig.preflight import POSITION, TORQUE, Limits, cautious_speed, still_moving
 from commissioning.rig.ready import Ready, record_of
@@ -73,18 +74,8 @@ class Rig:
     ) -> Rig:
         """The rig of one run on one connected drive."""
         loops = drive.loops
-        context = Context(
-            cycle=drive.cycle,
-            resolution=abs(drive.parameters[POSITION].step),
-            start=limits.start,
-            travel=limits.travel,
-            torque=limits.torque,
-            speed=limits.speed,
-            torque_resolution=drive.parameters[TORQUE].step,
-            position_unit=axis.position_unit,
-            effort_unit=axis.effort_unit,
-            tell=recorder.phase,
-            detail=recorder.detail,
+        context = replace(
+            context_of(axis, drive, limits), tell=recorder.phase, detail=recorder.detail
         )
         envelope = Envelope(
             centre=limits.start,
@@ -154,7 +145,13 @@ class Rig:
     def follow(self, path: TrackingPath) -> TrackingSamples:
         """Follow a path in position mode."""
         envelope = replace(self.envelope, cautious=False)
-        return self.mover.follow(lambda here: track(self.context, path, here), envelope, Recorder())
+        return self.mover.follow(
+            lambda here: track(self.context, path, here), envelope, self._unseen()
+        )
+
+    def _unseen(self) -> Recorder:
+        """A recorder of what is no torque experiment, which is watched as well."""
+        return Recorder(watcher=self.recorder.watcher)
 
     # -- first motions ---------------------------------------------------------------------------
 
@@ -163,10 +160,14 @@ class Rig:
         held_by = self.axis.mechanics.held_by
         rest = self._holding_torque() if held_by != "friction" else 0.0
         context = replace(self.context, rest=rest)
+        watcher = self.recorder.watcher
+        watcher.step(AT_REST)
         self.recorder.phase("does the axis stay at rest?")
         noise = self.mover.hold(stand(context), self.envelope, rest)
         context = replace(context, noise=noise)
+        watcher.step(FIRST_MOTIONS)
         known = self.mover.move(first_look(self._cautious(context)), self.envelope, rest)
+        watcher.friction(known.coulomb, None, None)
         if abs(known.offset) > known.breakaway and held_by == "friction":
             e = self.units.effort
             raise PreflightRefused(
@@ -206,6 +207,7 @@ class Rig:
         """Set the axis in motion, stop it by the stop path, and see what braking is certain."""
         p, cycle = self.units.position, self.drive.cycle
         cautious = self._cautious(context, known.dead_time)
+        self.recorder.watcher.step(STOP_PATH)
         self.mover.widen(cautious.speed)
         position, speed = self.mover.move(
             run_up(cautious, known), envelope, known.offset, leave_moving=True

@@ -209,7 +209,9 @@ def _write(
                 desk.interruption.check()
             kind: Kind = "gain" if change.parameter in gains else "compensation"
             if settings.write(kind, change.parameter, change.new_raw):
-                desk.tell(f"{change.parameter}: {change.old_raw} → {change.new_raw}, read back")
+                desk.watcher.phase(
+                    f"{change.parameter}: {change.old_raw} → {change.new_raw}, read back"
+                )
     if stores:
         store(drive, desk, run_id, {change.parameter: change.new_raw for change in wanted})
 

@@ -15,6 +15,7 @@ from commissioning.errors import Interrupted
 from commissioning.result.changes import Change
 from commissioning.result.document import RunResult
 from commissioning.result.endings import AxisState, Error
+from commissioning.rig.expected import WRITING
 from commissioning.runs import RunFolder
 from commissioning.session.apply import apply
 from commissioning.session.restore import leave_as_found
@@ -54,6 +55,7 @@ def prove_and_store(
         _close(run, desk, folder, error, (f"not proved: {error}",), None)
         raise
     try:
+        desk.watcher.step(WRITING)
         apply(run, None, desk, show, prove_first=True)
         proving()
         return verify(run, None, desk, Wishes(without_watchdog=without_watchdog), unproved=True)

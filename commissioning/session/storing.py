@@ -74,7 +74,7 @@ def store(
                 wanted=raw,
             )
     what = "the old values are stored" if text == RESTORED else "stored"
-    desk.tell(
+    desk.watcher.phase(
         f"{what} in the drive's non-volatile memory, read back again (store {before + 1} of this "
         f"drive from here; such a memory takes about {most})"
     )

@@ -19,8 +19,19 @@ from commissioning.identification.tracking import TrackingError, at_rest, creepi
 from commissioning.journal import RESTORED, STORED, RunRecord
 from commissioning.result.changes import Written
 from commissioning.result.document import RunResult
+from commissioning.result.words import remaining
 from commissioning.result.worth import Trial, Verification
 from commissioning.rig.armed import noted
+from commissioning.rig.expected import (
+    SHARES,
+    STORING,
+    context_of,
+    of_proving,
+    proving,
+    proving_seconds,
+    setting_of,
+    to_one_side,
+)
 from commissioning.rig.preflight import check_watchdog, choose_limits, look
 from commissioning.rig.rig import Rig
 from commissioning.session.named import axis_of_run, own_run
@@ -36,7 +47,6 @@ from profiles.schema import Profile
 
 __all__ = ["Wishes", "provable", "verify"]
 
-_STEPS = 0.5, 0.7  # of the friction; then the fraction of the run
 _HARMFUL_RISE = 1.05  # of the error before, and
 _HARMFUL_COUNTS = 2.0  # counts more: from here on a step does harm
 _EXPECTED_SHARE = 0.6  # of the share that is compensated, in the error that goes with it
@@ -263,10 +273,15 @@ def _look(drive: Drive, axis: Axis, options: Options, desk: Desk, record: RunRec
     check_watchdog(drive, without=options.without_watchdog)
     limits = choose_limits(drive, axis, options)
     unit = axis.position_unit
+    seconds = proving_seconds(context_of(axis, drive, limits), options, drive)
+    steps = of_proving(options.fraction, seconds)
+    names = ", ".join(drive.compensation.written)
     desk.agree(
-        f"Axis '{axis.name}' will MOVE in position mode, slowly, up to {limits.travel:.4g} {unit} "
-        "to one side of its present position, and its compensation will be WRITTEN and stored. "
-        "tworelay is not a safety function: keep people clear and the emergency stop in reach.",
+        f"This will MOVE axis '{axis.name}' in position mode, slowly, {to_one_side(limits):.3g} "
+        f"{unit} to one side of its present position and back, for about "
+        f"{remaining(sum(step.seconds for step in steps))}; WRITE its compensation ({names}), and "
+        "STORE what helps. tworelay is not a safety function: keep people clear and the emergency "
+        "stop in reach.",
         axis.name,
     )
     look(drive, axis)
@@ -280,6 +295,7 @@ def _with_steps(rig: Rig, result: RunResult, *, unproved: bool) -> tuple[list[_S
     try:
         steps, kept = rig.mover.within_settings(lambda: _raise(rig, result))
         final = _before(rig, names, was) if kept is None else kept.raw
+        rig.desk.watcher.step(STORING)
         rig.desk.interruption.check()  # the last moment at which nothing is decided yet
         # the experiment's settings are back, and are not stored with the rest
         with rig.desk.interruption.deferred():
@@ -362,22 +378,21 @@ def _raise(rig: Rig, result: RunResult) -> tuple[list[_Step], _Step | None]:
     verified = result.verification  # before: the run holds what stayed then
     goal = (verified.kept_fraction if verified else None) or asked
     sets = [(0.0, _share(drive, new, 0.0))]
-    sets += [(part, _share(drive, new, part / goal)) for part in _STEPS if part < goal]
+    sets += [(part, _share(drive, new, part / goal)) for part in SHARES if part < goal]
     sets.append((goal, new))
+    seconds = proving_seconds(rig.context, rig.options, drive, found.coulomb.value, inertia)
+    desk.watcher.begins(setting_of(rig.axis, drive, rig.limits), of_proving(goal, seconds))
     steps: list[_Step] = []
     kept: _Step | None = None
     for fraction, raw in sets:
-        desk.tell(
-            f"{100 * fraction:g} % of the friction compensated"
-            if fraction
-            else "without compensation"
-        )
+        desk.watcher.step(proving(fraction))
         with desk.interruption.deferred():
             _write(rig, raw)
         rig.mover.prove_watchdog(rest)
+        desk.watcher.lasts(path.seconds)
         step = _followed(rig, path, fraction, raw)
         steps.append(step)
-        desk.tell(_words(step, rig.axis.position_unit))
+        desk.watcher.phase(_words(step, rig.axis.position_unit))
         if not fraction:
             continue
         before = steps[0].error

@@ -17,6 +17,7 @@ import pytest
 
 import commissioning.guardian
 from commissioning.guardian import NOBODY, Guardian, guarded
+from commissioning.pipes import _Background
 from commissioning.rig.armed import noted
 from drivers.bus import StopFrames
 from drivers.errors import DriveFault, PreflightRefused
@@ -31,10 +32,10 @@ _PATIENCE = 20.0  # s for what takes a fraction of one
 def test_words_that_a_pipe_would_make_wait_for_go_by_a_thread() -> None:
     """As on Windows before Python 3.12."""
     reader, writer = os.pipe()
-    line = commissioning.guardian._Background(writer)
+    line = _Background(writer, b"q")
     line.write(b"a")
     assert os.read(reader, 1) == b"a"
-    other = commissioning.guardian._Background(writer)
+    other = _Background(writer, b"q")
     other.write(b"q")
     other.end()
     assert os.read(reader, 1) == b"q", "it had left when that returned"
@@ -51,7 +52,7 @@ def test_the_last_word_has_left_when_the_line_ends() -> None:
         while True:
             os.write(writer, b"." * 4096)
     os.set_blocking(writer, True)
-    line = commissioning.guardian._Background(writer)
+    line = _Background(writer, b"q")
     line.write(b"q")
     drain = threading.Timer(0.1, os.read, (reader, 1 << 20))
     drain.start()
@@ -91,7 +92,7 @@ def test_a_guardian_is_told_what_it_needs_and_how_long_silence_may_be(
         assert order["axis"]["profile"] == str(tmp_path / "p.toml")
 
 
-def put_for_long(line: commissioning.guardian._Background) -> None:
+def put_for_long(line: _Background) -> None:
     until = time.monotonic() + _PATIENCE
     while time.monotonic() < until:
         line.write(b".")

@@ -15,6 +15,7 @@ from commissioning.experiments.plan import Plan
 from commissioning.guardian import Guardian
 from commissioning.interruption import Interruption
 from commissioning.runner import Recorder, run
+from commissioning.watching import Telling
 from drivers.drive import StopReport
 from drivers.errors import DriveFault, LinkLost
 from drivers.link import axis_of, open_drive
@@ -222,7 +223,7 @@ def test_a_plan_that_leaves_the_axis_moving_ends_with_the_stop_path(
 
 def test_a_phase_begins_with_the_next_sample_and_is_told(drive: ProfiledDrive) -> None:
     told: list[str] = []
-    recorder = Recorder(on_phase=told.append)
+    recorder = Recorder(watcher=Telling(told.append))
     recorder.phase("first")
     run(push(0.05, 3), drive, WIDE, recorder, Interruption())
     recorder.phase("second")

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import click
 
+from commissioning.cli.acting import check_json
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text
-from commissioning.cli.terminal import Screen, check_json
+from commissioning.cli.terminal import Screen
 
 if TYPE_CHECKING:
     from commissioning.fleet.looking import Seen

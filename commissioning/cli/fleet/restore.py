@@ -6,9 +6,10 @@ import sys
 
 import click
 
+from commissioning.cli.acting import act_on, at_desk
 from commissioning.cli.options import verbose
 from commissioning.cli.output import say
-from commissioning.cli.terminal import Screen, act_on, at_desk
+from commissioning.cli.terminal import Screen
 from profiles.errors import TwoRelayError, UsageError
 
 __all__ = ["command"]

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import click
 
+from commissioning.cli.acting import check_json
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, say
-from commissioning.cli.terminal import Screen, check_json
+from commissioning.cli.terminal import Screen
 from profiles.errors import TwoRelayError, UsageError
 
 if TYPE_CHECKING:

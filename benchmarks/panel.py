@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
+import pty
+import struct
 import subprocess
 import sys
+import termios
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -32,10 +36,6 @@ _READER = "import os\nwhile os.read(0, 65536): pass"
 @contextlib.contextmanager
 def drawn() -> Iterator[Panel]:
     """A panel on a terminal of 80 by 24 that another process reads."""
-    import fcntl
-    import pty
-    import struct
-    import termios
 
     master, slave = pty.openpty()
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
@@ -75,8 +75,8 @@ def panel() -> list[str]:
     lines = [
         "# Lateness of the loop with and without the panel",
         "",
-        f"Written by `make bench`: {_PAIRS} measurements each, in turn, of `bench` over Modbus TCP at "
-        f"{_CYCLE * 1000:g} ms in real time;",
+        f"Written by `make bench`: {_PAIRS} measurements each, in turn, of `bench` over Modbus TCP",
+        f"at {_CYCLE * 1000:g} ms in real time;",
         "the panel is drawn at 80 × 24 on a terminal that another process reads.",
         "",
         "| panel | cycles | median, ms | p99, ms | least and most p99 of one run, ms | late by half a cycle |",

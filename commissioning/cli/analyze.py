@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from commissioning.cli.acting import at_desk, check_json, write_json
-from commissioning.cli.job import Finite
 from commissioning.cli.junit import junit_option
 from commissioning.cli.options import verbose
+from commissioning.cli.quantity import DURATION, POSITION, SHARE, TORQUE, Quantity
 from commissioning.cli.targets import axis_from
 from commissioning.cli.terminal import Screen
 from commissioning.result.readings import MethodName
@@ -23,16 +23,36 @@ __all__ = ["command"]
 @click.option(
     "--position",
     metavar="COL[:UNIT]",
-    help="rad, deg, rev, m, mm, um. Default: position_rad or position_m.",
+    help="rad, deg, rev, m, mm, um, or counts with --encoder. Default: position_rad, position_m, "
+    "or the only column in such a unit.",
 )
 @click.option("--velocity", metavar="COL[:UNIT]", help="rad/s, deg/s, rpm, m/s, mm/s.")
 @click.option(
     "--torque",
     metavar="COL[:SCALE UNIT]",
-    help="Nm, mNm, N, kN; a scale makes current or per cent a torque, and may be the name of a "
-    "scalar of "
-    "a .mat file. Default: command_Nm, torque_Nm or force_N.",
+    help="Nm, mNm, N, kN, or A, mA with --torque-constant, % with --rated-torque; a scale before "
+    "the unit may be the name of a scalar of a .mat file. Default: command_Nm, torque_Nm, force_N, "
+    "or the only column in such a unit.",
 )
+@click.option(
+    "--period", type=DURATION, metavar="T",
+    help="Between two rows, where no column is a time: '2ms'.",
+)  # fmt: skip
+@click.option(
+    "--encoder", type=Quantity(low=0, above=True), metavar="N",
+    help="Counts per revolution, of a position in counts.",
+)  # fmt: skip
+@click.option(
+    "--feed", type=POSITION, metavar="X",
+    help="Way per revolution, of such a position on a linear axis.",
+)  # fmt: skip
+@click.option(
+    "--torque-constant", type=Quantity("torque constant", low=0, above=True), metavar="K",
+    help="N.m/A, of a torque in A or mA.",
+)  # fmt: skip
+@click.option(
+    "--rated-torque", type=TORQUE, metavar="M", help="What 100 % are, of a torque in per cent."
+)  # fmt: skip
 @click.option("--steady", is_flag=True, help="Recordings at constant speeds, one or more a file.")
 @click.option(
     "--method",
@@ -61,7 +81,7 @@ __all__ = ["command"]
     "--profile", metavar="P", help="With --for: drive profile, a built-in name or a file."
 )
 @click.option(
-    "--fraction", type=Finite(0, 1), default=0.85, show_default=True,
+    "--fraction", type=SHARE, default="85 %", metavar="P", show_default=True,
     help="With --for: share of the friction to compensate; the offset is compensated whole.",
 )  # fmt: skip
 @verbose
@@ -72,6 +92,11 @@ def command(
     position: str | None,
     velocity: str | None,
     torque: str | None,
+    period: float | None,
+    encoder: float | None,
+    feed: float | None,
+    torque_constant: float | None,
+    rated_torque: float | None,
     steady: bool,
     method: str,
     json_target: str | None,
@@ -79,13 +104,16 @@ def command(
     profile: str | None,
     fraction: float,
 ) -> None:
-    """Friction from a recording: CSV with a header, or .mat. Nothing is moved.
+    """Friction from a recording: CSV of any kind, .mat or .npz. Nothing is moved.
+
+    COL is a column's name, or its number from 1.
 
     Oscillations are read by output error where a law explains their positions; else two steady
     ones of one period by the exact harmonic balance and by modulating functions, any other motion
     by the latter.
     """
     from commissioning.cli import show
+    from commissioning.recordings.reading import Bases
     from commissioning.rig.results import Rejected
     from commissioning.session.analyze import analyze
 
@@ -94,7 +122,8 @@ def command(
     columns = {"time": time, "position": position, "velocity": velocity, "torque": torque}
     try:
         with screen.working("analysing"):
-            result = analyze(files, columns, steady=steady, method=method, tell=screen.say)
+            bases = Bases(encoder, feed, torque_constant, rated_torque, period)
+            result = analyze(files, columns, bases, steady=steady, method=method, tell=screen.tell)
     except Rejected as error:
         write_json(error.result, json_target)
         raise

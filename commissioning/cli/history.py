@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import click
 
 from commissioning.cli.acting import at_desk, check_json
-from commissioning.cli.job import Finite
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text, written
+from commissioning.cli.quantity import PER_CENT
 from commissioning.cli.terminal import Screen
 from profiles.axis import load_axis
 from profiles.errors import UnknownName, UsageError
@@ -66,7 +66,7 @@ def command() -> None:
 )  # fmt: skip
 @click.option("--all", "everything", is_flag=True, help="All of them.")
 @click.option(
-    "--gate", type=Finite(0, 1000), default=10.0, show_default=True, metavar="P",
+    "--gate", type=PER_CENT, default="10", show_default=True, metavar="P",
     help="Percent: a smaller change of AXIS is no alarm.",
 )  # fmt: skip
 @click.option("--picture", metavar="F", help="AXIS over time, as .svg, .png or .pdf.")
@@ -296,7 +296,7 @@ def _tree(one: Listed) -> dict[str, object]:
 
 @command.command("drift", short_help="Which axes get worse.")
 @click.option(
-    "--gate", type=Finite(0, 1000), default=10.0, show_default=True, metavar="P",
+    "--gate", type=PER_CENT, default="10", show_default=True, metavar="P",
     help="Percent: a smaller change is no alarm.",
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")

@@ -12,34 +12,45 @@ import click
 
 from commissioning.cli import output
 from commissioning.cli.options import verbose
+from commissioning.cli.quantity import (
+    DURATION,
+    FREQUENCY,
+    POSITION,
+    SHARE,
+    SPEED,
+    TEMPERATURE,
+    TORQUE,
+    Quantity,
+    of_the_axis,
+)
 from commissioning.cli.targets import axis_from
 from commissioning.desk import Options
 from commissioning.result.readings import MethodName
 from profiles.axis import Axis
 from profiles.errors import UsageError
 
-__all__ = ["Finite", "Job", "job_options", "share_from", "travel_from"]
+__all__ = ["CYCLE", "Job", "job_options", "share_from"]
 
-
-class Finite(click.FloatRange):
-    """A number in a range; neither nan nor infinite."""
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        """Text to number."""
-        number: float = super().convert(value, param, ctx)
-        if not abs(number) < float("inf"):
-            self.fail(f"{value} is no finite number.", param, ctx)
-        return number
+CYCLE = Quantity("time", low=0.0002, high=0.5)
 
 
 _JOB_OPTIONS = [
     click.option("--profile", metavar="P", help="Drive profile: a built-in name or a file."),
-    click.option("--travel", metavar="±X", help="Room about the present position, rad or m."),
-    click.option("--max-torque", type=Finite(0, min_open=True), help="N.m or N."),
-    click.option("--max-speed", type=Finite(0, min_open=True), help="rad/s or m/s."),
-    click.option("--duration", type=Finite(0, min_open=True), help="s, at most."),
     click.option(
-        "--fraction", type=Finite(0, 1), default=0.85, show_default=True,
+        "--travel", type=POSITION, metavar="±X",
+        help="Room about the present position: '±180 deg', '0,5 rev', '20mm'; rad or m without a "
+        "unit.",
+    ),
+    click.option(
+        "--max-torque", type=TORQUE, metavar="X", help="'0,5 Nm', '20 N'; N.m or N without a unit."
+    ),
+    click.option(
+        "--max-speed", type=SPEED, metavar="X",
+        help="'300 rpm', '20 mm/s'; rad/s or m/s without a unit.",
+    ),
+    click.option("--duration", type=DURATION, metavar="T", help="At most: '2 min', or s."),
+    click.option(
+        "--fraction", type=SHARE, default="85 %", show_default=True, metavar="P",
         help="Share of the friction to compensate; the offset is compensated whole.",
     ),
     click.option(
@@ -67,17 +78,18 @@ _JOB_OPTIONS = [
         "allow it.",
     ),
     click.option(
-        "--output-filter", type=Finite(0, min_open=True), metavar="W",
-        help="rad/s: corner of a first-order filter in the drive's position signal, to be undone.",
+        "--output-filter", type=FREQUENCY, metavar="W",
+        help="'30 Hz', or rad/s: corner of a first-order filter in the drive's position signal, to "
+        "be undone.",
     ),
-    click.option("--cycle", type=Finite(0.0002, 0.5), help="s, of the exchange."),
+    click.option("--cycle", type=CYCLE, metavar="T", help="Of the exchange: '4ms', or s."),
     click.option(
-        "--motor-temperature", type=Finite(-100, 300), metavar="T",
+        "--motor-temperature", type=TEMPERATURE, metavar="T",
         help="°C, as somebody measured it, to be compared by later: for drives that tell none.",
     ),
     click.option(
-        "--watchdog", type=Finite(0.005, 5),
-        help="s of silence after which the drive stops by itself; default: the profile's.",
+        "--watchdog", type=Quantity("time", low=0.005, high=5), metavar="T",
+        help="Silence after which the drive stops by itself; default: the profile's.",
     ),
     click.option(
         "--without-watchdog", is_flag=True,
@@ -111,7 +123,7 @@ class Job:
     """What the user asks of a measurement, as the command line has it."""
 
     profile: str | None
-    travel: str | None
+    travel: float | None
     max_torque: float | None
     max_speed: float | None
     duration: float | None
@@ -141,7 +153,7 @@ class Job:
     def options(self) -> Options:
         """The job's options; raises UsageError."""
         return Options(
-            travel_from(self.travel), self.max_torque, self.max_speed, self.duration, self.fraction,
+            self.travel, self.max_torque, self.max_speed, self.duration, self.fraction,
             self.method, share_from(self.precision, "--precision"), self.solver, self.repeat,
             self.points, self.output_filter, self.cycle, self.without_watchdog, self.dry_run,
             ask_each=self.ask_each, motor_temperature=self.motor_temperature,
@@ -151,6 +163,9 @@ class Job:
         """TARGET with what is asked of it; raises UsageError."""
         axis = axis_from(target, self.profile)
         click.get_current_context().meta[output.AXIS] = axis
+        is_linear = axis.mechanics.motion == "linear"
+        for option in ("travel", "max_torque", "max_speed"):
+            of_the_axis(getattr(self, option), f"--{option.replace('_', '-')}", linear=is_linear)
         if self.watchdog is None:
             return axis
         limits = axis.limits.model_copy(update={"watchdog": self.watchdog})
@@ -169,18 +184,3 @@ def job_options(function: Callable[..., Any]) -> Callable[..., Any]:
     for option in reversed(_JOB_OPTIONS):
         wrapped = option(wrapped)
     return wrapped
-
-
-def travel_from(text: str | None) -> float | None:
-    """±X as the user gives it, rad or m; raises UsageError."""
-    if text is None:
-        return None
-    try:
-        travel = float(text.lstrip("±+"))
-    except ValueError:
-        travel = -1.0
-    if not 0 < travel < float("inf"):
-        raise UsageError(
-            f"--travel {text}: must be a positive number of rad or m, as in --travel ±0.5"
-        )
-    return travel

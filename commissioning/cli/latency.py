@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from commissioning.cli.acting import at_desk
-from commissioning.cli.job import Finite, travel_from
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text
+from commissioning.cli.quantity import POSITION, SPEED, TORQUE
 from commissioning.cli.targets import axis_from
 from commissioning.cli.terminal import Screen
 
@@ -29,9 +29,9 @@ _LEAST_CYCLE = 1e-3  # s, of the experiment
 @click.option("--count", type=click.IntRange(50, 100_000), default=500, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 @click.option("--move", is_flag=True, help="MOVE the axis: how late a torque acts, by small steps.")
-@click.option("--travel", metavar="±X", help="With --move: room about the present position.")
-@click.option("--max-torque", type=Finite(0, min_open=True), help="With --move: N.m or N.")
-@click.option("--max-speed", type=Finite(0, min_open=True), help="With --move: rad/s or m/s.")
+@click.option("--travel", type=POSITION, metavar="±X", help="With --move: '20 deg', the room.")
+@click.option("--max-torque", type=TORQUE, metavar="X", help="With --move: '0,5 Nm', N.m or N.")
+@click.option("--max-speed", type=SPEED, metavar="X", help="With --move: '300 rpm', rad/s or m/s.")
 @click.option("--without-watchdog", is_flag=True, help="With --move: as in identify.")
 @click.option("--yes", is_flag=True, help="With --move: confirm in advance.")
 @verbose
@@ -41,7 +41,7 @@ def command(
     count: int,
     as_json: bool,
     move: bool,
-    travel: str | None,
+    travel: float | None,
     max_torque: float | None,
     max_speed: float | None,
     without_watchdog: bool,
@@ -60,7 +60,7 @@ def command(
 
     screen = Screen("-" if as_json else None, yes=yes)
     axis = axis_from(target, profile)
-    options = Options(travel_from(travel), max_torque, max_speed, without_watchdog=without_watchdog)
+    options = Options(travel, max_torque, max_speed, without_watchdog=without_watchdog)
     late: Quantity | None = None
     with at_desk(screen) as desk, screen.working("measuring"):
         found = latency(axis, count, desk)

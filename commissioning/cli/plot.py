@@ -7,9 +7,9 @@ from pathlib import Path
 
 import click
 
-from commissioning.cli.job import Finite
 from commissioning.cli.options import verbose
 from commissioning.cli.output import say, written
+from commissioning.cli.quantity import POSITION, TORQUE
 from profiles.errors import Refused, UsageError
 
 __all__ = ["command"]
@@ -25,11 +25,11 @@ def command() -> None:
 @command.command("loci")
 @click.argument("run")
 @click.option(
-    "--amplitude", type=Finite(0, min_open=True), metavar="D",
+    "--amplitude", type=TORQUE, metavar="D",
     help="N.m or N, half of the relay's swing, of Figure 6. Default: the run's.",
 )  # fmt: skip
 @click.option(
-    "--hysteresis", type=Finite(0, min_open=True), metavar="E",
+    "--hysteresis", type=POSITION, metavar="E",
     help="rad or m, half-width, of Figure 5. Default: the run's.",
 )  # fmt: skip
 @click.option(

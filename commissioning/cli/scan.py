@@ -6,9 +6,9 @@ from typing import Any
 
 import click
 
-from commissioning.cli.job import Finite
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text
+from commissioning.cli.quantity import Quantity
 from commissioning.cli.terminal import Screen
 
 __all__ = ["command"]
@@ -17,7 +17,12 @@ __all__ = ["command"]
 @click.command("scan")
 @click.argument("link")
 @click.option("--units", default="1-247", show_default=True, metavar="A-B", help="Modbus units.")
-@click.option("--timeout", type=Finite(0.01, 5), metavar="S", help="s, for one unit or node.")
+@click.option(
+    "--timeout",
+    type=Quantity("time", low=0.01, high=5),
+    metavar="T",
+    help="'200ms', for one unit or node.",
+)
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 @verbose
 def command(link: str, units: str, timeout: float | None, as_json: bool) -> None:

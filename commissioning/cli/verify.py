@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import click
 
 from commissioning.cli.acting import act_on, at_desk, check_json, write_json
-from commissioning.cli.job import Finite, travel_from
+from commissioning.cli.job import CYCLE
 from commissioning.cli.junit import junit_option
 from commissioning.cli.options import verbose
+from commissioning.cli.quantity import POSITION, SPEED
 from commissioning.cli.terminal import Screen
 
 if TYPE_CHECKING:
@@ -22,11 +23,16 @@ __all__ = ["command", "prove"]
 @click.command("verify")
 @click.argument("run")
 @click.option("--link", help="Reach the drive by this LINK instead of the run's own.")
-@click.option("--travel", metavar="±X", help="Room about the present position; default: the run's.")
 @click.option(
-    "--max-speed", type=Finite(0, min_open=True), help="rad/s or m/s; default: the run's."
+    "--travel",
+    type=POSITION,
+    metavar="±X",
+    help="Room about the present position: '±180 deg', '20mm'; default: the run's.",
 )
-@click.option("--cycle", type=Finite(0.0002, 0.5), help="s, of the exchange.")
+@click.option(
+    "--max-speed", type=SPEED, metavar="X", help="'300 rpm', '20 mm/s'; default: the run's."
+)
+@click.option("--cycle", type=CYCLE, metavar="T", help="Of the exchange: '4ms'.")
 @click.option("--without-watchdog", is_flag=True, help="As in identify.")
 @click.option("--yes", is_flag=True, help="Confirm in advance.")
 @click.option(
@@ -37,7 +43,7 @@ __all__ = ["command", "prove"]
 def command(
     run: str,
     link: str | None,
-    travel: str | None,
+    travel: float | None,
     max_speed: float | None,
     cycle: float | None,
     without_watchdog: bool,
@@ -54,7 +60,7 @@ def command(
 
     check_json(json_target)
     screen = Screen(json_target, yes=yes)
-    wishes = Wishes(travel_from(travel), max_speed, cycle, without_watchdog)
+    wishes = Wishes(travel, max_speed, cycle, without_watchdog)
     result = prove(run, link, screen, json_target, wishes)
     write_json(result, json_target)
     show.in_the_drive(result, screen)

@@ -27,7 +27,8 @@ from commissioning.identification.reasons import Reason, Weight
 from commissioning.identification.record import Kinematics, Record, resolution_of, rests, trusted
 from commissioning.identification.steady import SteadyFit, SteadyPoint, at_speed, fit, plateaus
 from commissioning.identification.verdict import agreement, of_lock_in, of_modulating
-from commissioning.recording import Recording, column_of, read, table_of
+from commissioning.recordings.files import table_of
+from commissioning.recordings.reading import Bases, Recording, column_of, read
 from commissioning.result.document import RunResult
 from commissioning.result.endings import AxisState
 from commissioning.result.experiment import Experiment
@@ -63,6 +64,7 @@ _MISSES = 0.15  # of the torque, on speeds that were left out: no friction curve
 def analyze(
     files: Sequence[Path],
     columns: Columns,
+    bases: Bases | None = None,
     *,
     steady: bool,
     method: str,
@@ -77,7 +79,9 @@ def analyze(
         tell(f"reading {path}")
         table = table_of(path)
         named = {q: column_of(text, q, table.scalars) for q, text in columns.items()}
-        recordings.append(read(table, named))
+        for note in table.notes:
+            tell(note)
+        recordings.append(read(table, named, bases))
     linear = recordings[0].linear
     if any(r.linear != linear for r in recordings):
         raise UsageError("rotary and linear recordings do not go together")

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from commissioning.journal import Journal
-from commissioning.recording import read, table_of
+from commissioning.recordings.files import table_of
+from commissioning.recordings.reading import read
 from commissioning.runs import RunFolder, resolve
 from profiles.axis import load_axis
 from profiles.eds import read_eds

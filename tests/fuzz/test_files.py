@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from commissioning.fleet.plan import differences, load_fleet
 from commissioning.fleet.taking_up import chosen
-from commissioning.recording import read, table_of
+from commissioning.recordings.files import table_of
+from commissioning.recordings.reading import read
 from drivers.link_text import is_simulated, parse
 from profiles.axis import load_axis
 from profiles.draft import from_eds

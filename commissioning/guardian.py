@@ -19,7 +19,7 @@ from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from commissioning.pipes import Line, never_waiting
+from commissioning.pipes import Pipe, never_waiting
 from commissioning.processes import start
 from drivers.drive import Drive
 from drivers.errors import DriveFault, PreflightRefused
@@ -52,7 +52,7 @@ class Guardian:
         self._is_dead = False
         self.said: list[str] = []
         self._ear: threading.Thread | None = None
-        self._line: Line | None = None
+        self._line: Pipe | None = None
         if process is not None and process.stdin is not None:
             self._line = never_waiting(process.stdin.fileno(), DISMISS)
             self._ear = threading.Thread(target=self._hear, args=(process,), daemon=True)
@@ -66,7 +66,7 @@ class Guardian:
                 self.said.append(line.decode("utf-8", "replace").strip())
 
     def acted(self) -> str:
-        """Line that the guardian stopped the drive, and why; '' when it did not."""
+        """Pipe that the guardian stopped the drive, and why; '' when it did not."""
         if self._is_dead and self._ear is not None:
             self._ear.join(_ENDING)  # what it said last is on its way
         if not self.said:

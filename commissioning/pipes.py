@@ -8,12 +8,12 @@ import sys
 import threading
 from typing import Protocol
 
-__all__ = ["Line", "never_waiting"]
+__all__ = ["Pipe", "never_waiting"]
 
 _ENDING = 2.0  # s
 
 
-class Line(Protocol):
+class Pipe(Protocol):
     """A pipe that makes nobody wait."""
 
     def write(self, word: bytes) -> None:
@@ -23,7 +23,7 @@ class Line(Protocol):
         """What was written last has left."""
 
 
-def never_waiting(descriptor: int, last: bytes, most: int = 65536) -> Line:
+def never_waiting(descriptor: int, last: bytes, most: int = 65536) -> Pipe:
     """A pipe to write to.
 
     `last` : the word after which no other comes. `most`: words that may wait for a reader, where
@@ -31,10 +31,10 @@ def never_waiting(descriptor: int, last: bytes, most: int = 65536) -> Line:
     """
     if sys.platform == "win32" and sys.version_info < (3, 12):
         return _Background(descriptor, last, most)
-    return _Pipe(descriptor)
+    return _Direct(descriptor)
 
 
-class _Pipe:
+class _Direct:
     """A pipe that was told not to wait."""
 
     def __init__(self, descriptor: int) -> None:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from drivers.sample import Sample
 from profiles.procedures import Mode
 
-__all__ = ["NOBODY", "Setting", "Step", "Telling", "Watcher"]
+__all__ = ["NOBODY", "Setting", "Stage", "Telling", "Watcher"]
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class Stage:
     """A step of a job, and what it takes as far as one knows, s."""
 
     name: str
@@ -48,7 +48,7 @@ class Setting:
 class Watcher:
     """Whoever looks on; this one does not."""
 
-    def begins(self, setting: Setting, steps: Sequence[Step]) -> None:
+    def begins(self, setting: Setting, steps: Sequence[Stage]) -> None:
         """A job is about to move an axis, in these steps, after those that were told before."""
 
     def step(self, name: str) -> None:
@@ -57,7 +57,7 @@ class Watcher:
     def lasts(self, seconds: float) -> None:
         """The present step still takes as long."""
 
-    def expects(self, steps: Sequence[Step]) -> None:
+    def expects(self, steps: Sequence[Stage]) -> None:
         """Steps that are still to come take longer, or shorter, than was thought."""
 
     def phase(self, text: str) -> None:

@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["UNITS", "Kind", "Unit", "Value", "number", "parse", "unit_named", "units_of"]
+__all__ = ["UNITS", "Kind", "Said", "UnitOfUse", "number", "parse", "unit_named", "units_of"]
 
 Kind = Literal[
     "time", "position", "velocity", "torque", "current", "share", "frequency", "temperature",
@@ -19,7 +19,7 @@ Kind = Literal[
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
+class UnitOfUse:
     """A unit.
 
     Attributes
@@ -38,70 +38,70 @@ class Unit:
 
 
 @dataclass(frozen=True, slots=True)
-class Value:
+class Said:
     """A number in SI, and what its unit says of the axis; None: there was no unit."""
 
     si: float
-    unit: Unit | None
+    unit: UnitOfUse | None
 
 
 _TURN = 2 * math.pi
 
 
-def _many() -> dict[str, Unit]:
-    found: dict[str, Unit] = {}
+def _many() -> dict[str, UnitOfUse]:
+    found: dict[str, UnitOfUse] = {}
 
-    def add(
+    def put(
         spellings: str, kind: Kind, factor: float, linear: bool | None = None, base: str = ""
     ) -> None:
         names = spellings.split()
-        unit = Unit(names[0], kind, factor, linear, base)  # type: ignore[arg-type]
+        unit = UnitOfUse(names[0], kind, factor, linear, base)  # type: ignore[arg-type]
         found.update(dict.fromkeys(names, unit))
 
-    add("s sec second seconds sek", "time", 1.0)
-    add("ms msec", "time", 1e-3)
-    add("us µs μs usec", "time", 1e-6)
-    add("min minute minutes", "time", 60.0)
-    add("rad", "position", 1.0, linear=False)
-    add("mrad", "position", 1e-3, linear=False)
-    add("deg ° degree degrees grad", "position", math.pi / 180, linear=False)
-    add("rev turn turns revs U Umdr r", "position", _TURN, linear=False)
-    add("m", "position", 1.0, linear=True)
-    add("cm", "position", 1e-2, linear=True)
-    add("mm", "position", 1e-3, linear=True)
-    add("um µm μm", "position", 1e-6, linear=True)
-    add("inch in", "position", 0.0254, linear=True)
-    add(
+    put("s sec second seconds sek", "time", 1.0)
+    put("ms msec", "time", 1e-3)
+    put("us µs μs usec", "time", 1e-6)
+    put("min minute minutes", "time", 60.0)
+    put("rad", "position", 1.0, linear=False)
+    put("mrad", "position", 1e-3, linear=False)
+    put("deg ° degree degrees grad", "position", math.pi / 180, linear=False)
+    put("rev turn turns revs U Umdr r", "position", _TURN, linear=False)
+    put("m", "position", 1.0, linear=True)
+    put("cm", "position", 1e-2, linear=True)
+    put("mm", "position", 1e-3, linear=True)
+    put("um µm μm", "position", 1e-6, linear=True)
+    put("inch in", "position", 0.0254, linear=True)
+    put(
         "counts count cnt cnts inc incs increments incr Inkr ink pulses pul",
         "position",
         1.0,
         None,
         "encoder",
     )
-    add("rad/s", "velocity", 1.0, linear=False)
-    add("deg/s °/s", "velocity", math.pi / 180, linear=False)
-    add("rpm 1/min min-1 min^-1 U/min r/min rev/min", "velocity", _TURN / 60, linear=False)
-    add("rev/s rps U/s 1/s", "velocity", _TURN, linear=False)
-    add("m/s", "velocity", 1.0, linear=True)
-    add("mm/s", "velocity", 1e-3, linear=True)
-    add("m/min", "velocity", 1 / 60, linear=True)
-    add("mm/min", "velocity", 1e-3 / 60, linear=True)
-    add("counts/s count/s cnt/s inc/s incr/s pulses/s", "velocity", 1.0, None, "encoder")
-    add("N.m Nm", "torque", 1.0, linear=False)
-    add("mN.m mNm", "torque", 1e-3, linear=False)
-    add("kN.m kNm", "torque", 1e3, linear=False)
-    add("N.cm Ncm", "torque", 1e-2, linear=False)
-    add("N", "torque", 1.0, linear=True)
-    add("kN", "torque", 1e3, linear=True)
-    add("A Arms A_rms Aeff", "current", 1.0, None, "torque constant")
-    add("mA", "current", 1e-3, None, "torque constant")
-    add("% pct percent", "share", 1e-2, None, "rated torque")
-    add("‰ permille 0.1%", "share", 1e-3, None, "rated torque")
-    add("Hz", "frequency", _TURN)
-    add("kHz", "frequency", 1e3 * _TURN)
-    add("°C degC C", "temperature", 1.0)
-    add("N.m/A Nm/A", "torque constant", 1.0)
-    add("mN.m/A mNm/A", "torque constant", 1e-3)
+    put("rad/s", "velocity", 1.0, linear=False)
+    put("deg/s °/s", "velocity", math.pi / 180, linear=False)
+    put("rpm 1/min min-1 min^-1 U/min r/min rev/min", "velocity", _TURN / 60, linear=False)
+    put("rev/s rps U/s 1/s", "velocity", _TURN, linear=False)
+    put("m/s", "velocity", 1.0, linear=True)
+    put("mm/s", "velocity", 1e-3, linear=True)
+    put("m/min", "velocity", 1 / 60, linear=True)
+    put("mm/min", "velocity", 1e-3 / 60, linear=True)
+    put("counts/s count/s cnt/s inc/s incr/s pulses/s", "velocity", 1.0, None, "encoder")
+    put("N.m Nm", "torque", 1.0, linear=False)
+    put("mN.m mNm", "torque", 1e-3, linear=False)
+    put("kN.m kNm", "torque", 1e3, linear=False)
+    put("N.cm Ncm", "torque", 1e-2, linear=False)
+    put("N", "torque", 1.0, linear=True)
+    put("kN", "torque", 1e3, linear=True)
+    put("A Arms A_rms Aeff", "current", 1.0, None, "torque constant")
+    put("mA", "current", 1e-3, None, "torque constant")
+    put("% pct percent", "share", 1e-2, None, "rated torque")
+    put("‰ permille 0.1%", "share", 1e-3, None, "rated torque")
+    put("Hz", "frequency", _TURN)
+    put("kHz", "frequency", 1e3 * _TURN)
+    put("°C degC C", "temperature", 1.0)
+    put("N.m/A Nm/A", "torque constant", 1.0)
+    put("mN.m/A mNm/A", "torque constant", 1e-3)
     return found
 
 
@@ -110,13 +110,13 @@ _ORDINARY = str.maketrans({"·": ".", "⋅": ".", "*": ".", "−": "-", "\u00a0"
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
 
 
-def unit_named(text: str) -> Unit | None:
+def unit_named(text: str) -> UnitOfUse | None:
     """The unit of that name in any of its spellings; None: there is none."""
     name = text.strip().translate(_ORDINARY)
     return UNITS.get(name) or UNITS.get(name.replace(" ", ".")) or _any_case(name)
 
 
-def _any_case(name: str) -> Unit | None:
+def _any_case(name: str) -> UnitOfUse | None:
     """A unit that only capitals tell from what is written, where those do not change its size."""
     found = {
         id(unit): unit
@@ -139,7 +139,7 @@ def number(text: str) -> float:
     return float(plain.replace(",", "."))
 
 
-def parse(text: str) -> Value:
+def parse(text: str) -> Said:
     """'0,5', '12 deg', '3000rpm', '85 %': the number in SI; raises ValueError.
 
     In a unit that takes a base it is in that unit's SI part: counts, A, a share of 1.
@@ -150,8 +150,8 @@ def parse(text: str) -> Value:
         raise ValueError(f"'{text.strip():.40}' is no number with a unit")
     value, rest = number(found[0]), plain[found.end() :].strip()
     if not rest:
-        return Value(value, None)
+        return Said(value, None)
     unit = unit_named(rest)
     if unit is None:
         raise ValueError(f"'{rest:.40}' is no unit that is known")
-    return Value(value * unit.factor, unit)
+    return Said(value * unit.factor, unit)

@@ -9,7 +9,7 @@ import click
 from commissioning.cli.acting import at_desk, check_json, write_json
 from commissioning.cli.junit import junit_option
 from commissioning.cli.options import verbose
-from commissioning.cli.quantity import DURATION, POSITION, SHARE, TORQUE, Quantity
+from commissioning.cli.quantity import DURATION, POSITION, SHARE, TORQUE, Measure
 from commissioning.cli.targets import axis_from
 from commissioning.cli.terminal import Screen
 from commissioning.result.readings import MethodName
@@ -39,7 +39,7 @@ __all__ = ["command"]
     help="Between two rows, where no column is a time: '2ms'.",
 )  # fmt: skip
 @click.option(
-    "--encoder", type=Quantity(low=0, above=True), metavar="N",
+    "--encoder", type=Measure(low=0, above=True), metavar="N",
     help="Counts per revolution, of a position in counts.",
 )  # fmt: skip
 @click.option(
@@ -47,7 +47,7 @@ __all__ = ["command"]
     help="Way per revolution, of such a position on a linear axis.",
 )  # fmt: skip
 @click.option(
-    "--torque-constant", type=Quantity("torque constant", low=0, above=True), metavar="K",
+    "--torque-constant", type=Measure("torque constant", low=0, above=True), metavar="K",
     help="N.m/A, of a torque in A or mA.",
 )  # fmt: skip
 @click.option(
@@ -113,7 +113,7 @@ def command(
     by the latter.
     """
     from commissioning.cli import show
-    from commissioning.recordings.reading import Bases
+    from commissioning.recordings.reading import Scales
     from commissioning.rig.results import Rejected
     from commissioning.session.analyze import analyze
 
@@ -122,7 +122,7 @@ def command(
     columns = {"time": time, "position": position, "velocity": velocity, "torque": torque}
     try:
         with screen.working("analysing"):
-            bases = Bases(encoder, feed, torque_constant, rated_torque, period)
+            bases = Scales(encoder, feed, torque_constant, rated_torque, period)
             result = analyze(files, columns, bases, steady=steady, method=method, tell=screen.tell)
     except Rejected as error:
         write_json(error.result, json_target)

@@ -20,7 +20,7 @@ from commissioning.cli.quantity import (
     SPEED,
     TEMPERATURE,
     TORQUE,
-    Quantity,
+    Measure,
     of_the_axis,
 )
 from commissioning.cli.targets import axis_from
@@ -31,7 +31,7 @@ from profiles.errors import UsageError
 
 __all__ = ["CYCLE", "Job", "job_options", "share_from"]
 
-CYCLE = Quantity("time", low=0.0002, high=0.5)
+CYCLE = Measure("time", low=0.0002, high=0.5)
 
 
 _JOB_OPTIONS = [
@@ -88,7 +88,7 @@ _JOB_OPTIONS = [
         help="°C, as somebody measured it, to be compared by later: for drives that tell none.",
     ),
     click.option(
-        "--watchdog", type=Quantity("time", low=0.005, high=5), metavar="T",
+        "--watchdog", type=Measure("time", low=0.005, high=5), metavar="T",
         help="Silence after which the drive stops by itself; default: the profile's.",
     ),
     click.option(

@@ -22,7 +22,9 @@ from profiles.plain import plain, plain_lines
 
 RESULT, AXIS = "tworelay.result", "tworelay.axis"  # what a command has come to, in its context
 
-_NARROWEST, _DEEPEST = 40, 16  # characters of a terminal, and of what a line is set back by
+_NARROWEST, _USUAL = 40, 80  # characters of a terminal: at least, and where it does not say
+_DEEPEST = 16  # characters that a line is set back by, at most
+
 
 __all__ = ["AXIS", "RESULT", "document", "giving_up", "json_text", "say", "written"]
 
@@ -42,7 +44,7 @@ def _folded(text: str, stream: Any) -> list[str]:
     try:
         if len(text) <= _NARROWEST or not stream.isatty():
             return [text]
-        width = max(os.get_terminal_size(stream.fileno()).columns, _NARROWEST)
+        width = max(os.get_terminal_size(stream.fileno()).columns or _USUAL, _NARROWEST)
     except (OSError, ValueError):
         return [text]
     indent = " " * min(len(text) - len(text.lstrip()) + 2, _DEEPEST)

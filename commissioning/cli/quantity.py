@@ -7,21 +7,21 @@ from typing import Any
 import click
 
 from profiles.errors import UsageError
-from profiles.quantities import Kind, Unit, parse, units_of
+from profiles.quantities import Kind, UnitOfUse, parse, units_of
 
 __all__ = [
     "DURATION", "FREQUENCY", "PER_CENT", "POSITION", "SHARE", "SPEED", "TEMPERATURE", "TORQUE",
-    "Given", "Quantity", "of_the_axis",
+    "Given", "Measure", "of_the_axis",
 ]  # fmt: skip
 
 
 class Given(float):
     """A number in SI with the unit that it was written in; None: none was."""
 
-    unit: Unit | None = None
+    unit: UnitOfUse | None = None
 
 
-class Quantity(click.ParamType[Given]):
+class Measure(click.ParamType[Given]):
     """A number in a range, in SI where it has no unit.
 
     Parameters
@@ -71,7 +71,7 @@ class Quantity(click.ParamType[Given]):
         return f"{low}x" + ("" if self.high is None else f"<={self.high:g}")
 
 
-class _PerCent(Quantity):
+class _PerCent(Measure):
     """A number of per cent, with or without the sign."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Given:
@@ -81,13 +81,13 @@ class _PerCent(Quantity):
 
 
 PER_CENT = _PerCent("share", low=0, high=1000)
-POSITION = Quantity("position", low=0, above=True)
-TORQUE = Quantity("torque", low=0, above=True)
-SPEED = Quantity("velocity", low=0, above=True)
-DURATION = Quantity("time", low=0, above=True)
-FREQUENCY = Quantity("frequency", "velocity", low=0, above=True)
-SHARE = Quantity("share", low=0, high=1)
-TEMPERATURE = Quantity("temperature", low=-100, high=300)
+POSITION = Measure("position", low=0, above=True)
+TORQUE = Measure("torque", low=0, above=True)
+SPEED = Measure("velocity", low=0, above=True)
+DURATION = Measure("time", low=0, above=True)
+FREQUENCY = Measure("frequency", "velocity", low=0, above=True)
+SHARE = Measure("share", low=0, high=1)
+TEMPERATURE = Measure("temperature", low=-100, high=300)
 
 
 def of_the_axis(value: float | None, option: str, *, linear: bool) -> float | None:

@@ -8,7 +8,7 @@ import click
 
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text
-from commissioning.cli.quantity import Quantity
+from commissioning.cli.quantity import Measure
 from commissioning.cli.terminal import Screen
 
 __all__ = ["command"]
@@ -19,7 +19,7 @@ __all__ = ["command"]
 @click.option("--units", default="1-247", show_default=True, metavar="A-B", help="Modbus units.")
 @click.option(
     "--timeout",
-    type=Quantity("time", low=0.01, high=5),
+    type=Measure("time", low=0.01, high=5),
     metavar="T",
     help="'200ms', for one unit or node.",
 )

@@ -44,6 +44,8 @@ __all__ = [
 ]  # fmt: skip
 
 
+_MOST_REASONS = 4
+_WEIGHTS = (Weight.CONTRADICTION, Weight.DOUBT, Weight.NOTE)
 _COLOURS = {"good": "green", "doubt": "yellow", "bad": "red"}
 _VERDICT_COLOURS = {"good": "green", "usable": "yellow", "curve-only": "yellow", "rejected": "red"}
 
@@ -88,14 +90,11 @@ def summary(result: RunResult, screen: Screen) -> None:
             screen.say(f"  {repeated(result.experiment, coulomb)}")
     if wrong := distorted(result):
         screen.say(f"  {wrong}")
-    told = [reason.text for reason in result.quality.reasons if reason.weight is not Weight.NOTE]
-    for text in told or [reason.text for reason in result.quality.reasons if _is_needed(result)]:
-        screen.say(f"  {text}")
-
-
-def _is_needed(result: RunResult) -> bool:
-    """Whether notes are all that says why a run is not good."""
-    return result.quality.verdict != "good"
+    reasons = sorted(result.quality.reasons, key=lambda reason: _WEIGHTS.index(reason.weight))
+    for reason in reasons[:_MOST_REASONS]:
+        screen.say(f"  {reason.text}")
+    if more := len(reasons[_MOST_REASONS:]):
+        screen.say(f"  and {more} more: -v")
 
 
 def _in_full(result: RunResult, screen: Screen) -> None:

@@ -9,7 +9,7 @@ import click
 from commissioning.cli.acting import act_on, at_desk, check_json, write_json
 from commissioning.cli.job import Job, job_options
 from commissioning.cli.junit import junit_option
-from commissioning.cli.quantity import Quantity
+from commissioning.cli.quantity import Measure
 from commissioning.cli.targets import is_target
 from commissioning.cli.terminal import Screen
 
@@ -19,11 +19,11 @@ __all__ = ["command"]
 @click.command("tune")
 @click.argument("target", metavar="TARGET|RUN")
 @click.option(
-    "--drive-dead-time", type=Quantity("time", low=0, high=0.1), metavar="T",
+    "--drive-dead-time", type=Measure("time", low=0, high=0.1), metavar="T",
     help="s, of the drive's own loops, from position sample to torque. Default: the profile's.",
 )  # fmt: skip
 @click.option(
-    "--drive-period", type=Quantity("time", low=1e-5, high=0.02), metavar="T",
+    "--drive-period", type=Measure("time", low=1e-5, high=0.02), metavar="T",
     help="s, of the drive's own loops. Default: the profile's, else 0.00025.",
 )  # fmt: skip
 @job_options

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from commissioning.watching import Step
+from commissioning.watching import Stage
 
 __all__ = ["Course"]
 
@@ -24,14 +24,14 @@ class Course:
     """The steps of a job in their order; times by a clock that the caller reads, s."""
 
     def __init__(self) -> None:
-        self._steps: list[Step] = []
+        self._steps: list[Stage] = []
         self._now = -1
         self._since = 0.0
         self._begin: float | None = None
         self._ended: list[_Ended] = []
         self.in_real_time = True
 
-    def add(self, steps: Sequence[Step]) -> None:
+    def add(self, steps: Sequence[Stage]) -> None:
         """Steps after those that are known; one that is known by its name is only timed anew."""
         known = {step.name: n for n, step in enumerate(self._steps)}
         for step in steps:
@@ -47,7 +47,7 @@ class Course:
             self._ended.append(_Ended(self._steps[self._now].seconds, clock - self._since))
         names = [step.name for step in self._steps]
         if name not in names:
-            self._steps.insert(self._now + 1, Step(name, 0.0))
+            self._steps.insert(self._now + 1, Stage(name, 0.0))
             names.insert(self._now + 1, name)
         self._now, self._since = names.index(name), clock
 
@@ -55,7 +55,7 @@ class Course:
         """The present step still takes as long."""
         if self._now >= 0:
             step = self._steps[self._now]
-            self._steps[self._now] = Step(step.name, clock - self._since + seconds)
+            self._steps[self._now] = Stage(step.name, clock - self._since + seconds)
 
     @property
     def name(self) -> str:

@@ -16,9 +16,9 @@ from dataclasses import asdict
 from typing import Any
 
 from commissioning.panel.course import Course
-from commissioning.pipes import Line, never_waiting
+from commissioning.pipes import Pipe, never_waiting
 from commissioning.processes import start
-from commissioning.watching import Setting, Step, Watcher
+from commissioning.watching import Setting, Stage, Watcher
 from drivers.sample import Sample
 from profiles.plain import plain
 from profiles.procedures import Mode
@@ -59,7 +59,7 @@ class Panel(Watcher):
         self._clock = clock
         self._started = started
         self._process: subprocess.Popen[bytes] | None = None
-        self._line: Line | None = None
+        self._line: Pipe | None = None
         self._course = Course()
         self._setting: dict[str, Any] = {}
         self._friction: list[tuple[float, float | None, float | None]] = []
@@ -73,7 +73,7 @@ class Panel(Watcher):
 
     # -- what the job tells ------------------------------------------------------------------------
 
-    def begins(self, setting: Setting, steps: Sequence[Step]) -> None:
+    def begins(self, setting: Setting, steps: Sequence[Stage]) -> None:
         """Start to draw, if that was not done before."""
         self._setting = asdict(setting) | {
             "doing": self._doing, "torque_limit": setting.torque, "speed_limit": setting.speed,
@@ -95,7 +95,7 @@ class Panel(Watcher):
         """The present step still takes as long."""
         self._course.lasts(seconds, self._clock())
 
-    def expects(self, steps: Sequence[Step]) -> None:
+    def expects(self, steps: Sequence[Stage]) -> None:
         """What is still to come takes as long."""
         self._course.add(steps)
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from commissioning.panel.course import Course
 from commissioning.result.words import remaining
-from commissioning.watching import Setting, Step, Watcher
+from commissioning.watching import Setting, Stage, Watcher
 
 __all__ = ["Lines"]
 
@@ -32,7 +32,7 @@ class Lines(Watcher):
         self._clock = clock
         self._course = Course()
 
-    def begins(self, setting: Setting, steps: Sequence[Step]) -> None:
+    def begins(self, setting: Setting, steps: Sequence[Stage]) -> None:
         """Note the steps."""
         self._course.in_real_time = setting.in_real_time
         self._course.add(steps)
@@ -49,7 +49,7 @@ class Lines(Watcher):
         """The present step still takes as long."""
         self._course.lasts(seconds, self._clock())
 
-    def expects(self, steps: Sequence[Step]) -> None:
+    def expects(self, steps: Sequence[Stage]) -> None:
         """What is still to come takes as long."""
         self._course.add(steps)
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from commissioning.recordings.table import Array, Table, unit_in
 from profiles.errors import UsageError
-from profiles.quantities import Kind, Unit, number, unit_named, units_of
+from profiles.quantities import Kind, UnitOfUse, number, unit_named, units_of
 
-__all__ = ["Bases", "Column", "Recording", "column_of", "read"]
+__all__ = ["Column", "Recording", "Scales", "column_of", "read"]
 
 _LONGEST_GAP = 2000  # usual steps
 _FEWEST = 50  # samples
@@ -37,7 +37,7 @@ _LIMITS = {  # what no servo axis does: (smallest, largest, hint)
 
 
 @dataclass(frozen=True, slots=True)
-class Bases:
+class Scales:
     """What turns counts, currents and shares into positions and torques; None: not said.
 
     Attributes
@@ -67,7 +67,7 @@ class Column:
     """
 
     name: str
-    unit: Unit | None
+    unit: UnitOfUse | None
     scale: float | None
 
 
@@ -130,9 +130,9 @@ def column_of(text: str | None, quantity: str, scalars: dict[str, float]) -> Col
     return Column(name, unit, scale)
 
 
-def read(table: Table, named: dict[str, Column | None], bases: Bases | None = None) -> Recording:
+def read(table: Table, named: dict[str, Column | None], bases: Scales | None = None) -> Recording:
     """The table in SI, checked; raises UsageError naming row, column or condition."""
-    bases = bases or Bases()
+    bases = bases or Scales()
     found: dict[str, Array | None] = {}
     linear: dict[str, bool] = {}
     for quantity in ("time", "position", "velocity", "torque"):
@@ -227,7 +227,9 @@ def _in_its_unit(table: Table, quantity: str) -> list[str]:
     return [name for name, unit in units.items() if unit and unit.kind in _KINDS[quantity]]
 
 
-def _values(table: Table, column: Column, quantity: str, bases: Bases) -> tuple[Array, bool | None]:
+def _values(
+    table: Table, column: Column, quantity: str, bases: Scales
+) -> tuple[Array, bool | None]:
     name = table.named(column.name)
     values = table.columns[name]
     bad = np.flatnonzero(~np.isfinite(values))
@@ -246,7 +248,8 @@ def _values(table: Table, column: Column, quantity: str, bases: Bases) -> tuple[
             f"--{quantity} '{name}:{example}'"
         )
     if not unit.base:
-        return values * unit.factor * (1.0 if column.scale is None else column.scale), unit.linear
+        scale = 1.0 if column.scale is None else column.scale
+        return values * unit.factor * scale, unit.linear
     factor, is_linear = _by_base(table, name, quantity, unit, column.scale, bases)
     return values * unit.factor * factor, is_linear
 
@@ -259,7 +262,7 @@ _BASES = {
 
 
 def _by_base(
-    table: Table, name: str, quantity: str, unit: Unit, scale: float | None, bases: Bases
+    table: Table, name: str, quantity: str, unit: UnitOfUse, scale: float | None, bases: Scales
 ) -> tuple[float, bool | None]:
     """Factor to SI of a unit that takes a base, and the kind of axis; raises UsageError."""
     attribute, what, example = _BASES[unit.base]

@@ -279,11 +279,10 @@ def helps(found: Verification) -> str:
     kept = found.kept
     if kept is None or found.percent is None:
         return "verified: the compensation did not help; the old values were put back"
-    before = found.steps[0].reversal_error
+    before, unit_of = found.steps[0].reversal_error, found.unit
     return (
-        f"verified: {found.percent:.0f} % less error after reversals "
-        f"({before:.3g} → {kept.reversal_error:.3g} {found.unit}) with {100 * kept.fraction:g} "
-        "% of the friction compensated"
+        f"verified: {found.percent:.0f} % less error after reversals with {100 * kept.fraction:g} "
+        f"% of the friction compensated ({before:.3g} → {kept.reversal_error:.3g} {unit_of})"
     )
 
 

@@ -34,7 +34,7 @@ from commissioning.rig.rig import Rig
 from commissioning.runs import RunFolder
 from commissioning.samples import Samples
 from commissioning.settings import Settings
-from commissioning.watching import Step
+from commissioning.watching import Stage
 from drivers.drive import Drive
 from drivers.writing import why_not_written
 from profiles.axis import Axis
@@ -223,7 +223,7 @@ def _arming_text(axis: Axis, options: Options, drive: Drive, limits: preflight.L
     )
 
 
-def _seconds(steps: Sequence[Step]) -> str:
+def _seconds(steps: Sequence[Stage]) -> str:
     return remaining(sum(step.seconds for step in steps))
 
 

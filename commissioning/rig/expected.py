@@ -9,7 +9,7 @@ from commissioning.experiments.plan import Context
 from commissioning.experiments.tracking import SWING, path_for
 from commissioning.result.readings import MethodName
 from commissioning.rig.preflight import POSITION, TORQUE, Limits
-from commissioning.watching import Setting, Step
+from commissioning.watching import Setting, Stage
 from drivers.drive import Drive
 from profiles.axis import Axis
 
@@ -58,37 +58,37 @@ def proving(fraction: float) -> str:
     return f"proof with {100 * fraction:g} %" if fraction else "proof without compensation"
 
 
-def of_measuring(options: Options, drive: Drive) -> list[Step]:
+def of_measuring(options: Options, drive: Drive) -> list[Stage]:
     """Steps of the measurement."""
     silence = _silence(options, drive)
     steps = [
-        Step(AT_REST, _AT_REST + silence),
-        Step(FIRST_MOTIONS, _FIRST_MOTIONS + silence),
-        Step(STOP_PATH, _STOP_PATH + silence),
+        Stage(AT_REST, _AT_REST + silence),
+        Stage(FIRST_MOTIONS, _FIRST_MOTIONS + silence),
+        Stage(STOP_PATH, _STOP_PATH + silence),
     ]
     seconds = _OSCILLATING.get(options.method, _LONG)
     count = options.repeat
-    steps += [Step(oscillating(number, count), seconds) for number in range(1, count + 1)]
+    steps += [Stage(oscillating(number, count), seconds) for number in range(1, count + 1)]
     if options.points:
-        steps.append(Step(POINTS, _POINTS))
+        steps.append(Stage(POINTS, _POINTS))
     return steps
 
 
-def of_proving(fraction: float, seconds: float) -> list[Step]:
+def of_proving(fraction: float, seconds: float) -> list[Stage]:
     """Steps of a proof, of `seconds` each."""
     parts = [0.0, *(part for part in SHARES if part < fraction), fraction]
-    return [*(Step(proving(part), seconds) for part in parts), Step(STORING, _STORING)]
+    return [*(Stage(proving(part), seconds) for part in parts), Stage(STORING, _STORING)]
 
 
 def of_commissioning(
     options: Options, axis: Axis, drive: Drive, limits: Limits
-) -> tuple[list[Step], list[Step]]:
+) -> tuple[list[Stage], list[Stage]]:
     """Steps of the measurement, and of what comes after it where what is found is written."""
     measuring = of_measuring(options, drive)
     if not options.writes:
         return measuring, []
     seconds = proving_seconds(context_of(axis, drive, limits), options, drive)
-    return measuring, [Step(WRITING, _WRITING), *of_proving(options.fraction, seconds)]
+    return measuring, [Stage(WRITING, _WRITING), *of_proving(options.fraction, seconds)]
 
 
 def proving_seconds(

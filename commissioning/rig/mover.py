@@ -114,11 +114,16 @@ class Mover:
     def prove_watchdog(self, rest: float) -> None:
         """See the drive stop by itself under the torque `rest` (N.m or N) that holds the axis."""
         self._prepare(Mode.TORQUE)
-        tell = self.recorder.phase if self._watchdog_fault is None else lambda text: None
+        is_first = self._watchdog_fault is None
+        tell = self.recorder.phase if is_first else lambda text: None
         self._watchdog_fault = prove_watchdog(
             self._drive, rest, self._limits.travel, self._desk.interruption, tell,
             without=self._without_watchdog, before=self._watchdog_fault,
         )  # fmt: skip
+        if is_first and self._watchdog_fault:
+            self._desk.tell(
+                f"proof of the watchdog: the drive stopped by itself, with {self._watchdog_fault}"
+            )
 
     def move(
         self, plan: Plan[T], envelope: Envelope, rest: float, *, leave_moving: bool = False

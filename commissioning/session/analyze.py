@@ -28,7 +28,7 @@ from commissioning.identification.record import Kinematics, Record, resolution_o
 from commissioning.identification.steady import SteadyFit, SteadyPoint, at_speed, fit, plateaus
 from commissioning.identification.verdict import agreement, of_lock_in, of_modulating
 from commissioning.recordings.files import table_of
-from commissioning.recordings.reading import Bases, Recording, column_of, read
+from commissioning.recordings.reading import Recording, Scales, column_of, read
 from commissioning.result.document import RunResult
 from commissioning.result.endings import AxisState
 from commissioning.result.experiment import Experiment
@@ -64,7 +64,7 @@ _MISSES = 0.15  # of the torque, on speeds that were left out: no friction curve
 def analyze(
     files: Sequence[Path],
     columns: Columns,
-    bases: Bases | None = None,
+    bases: Scales | None = None,
     *,
     steady: bool,
     method: str,

@@ -141,7 +141,7 @@ def put(row: int, column: int, value: Any) -> Spoil:
     [
         (["t", "x", "u"], lambda r: r, [], 2, "no column 'time_s'; name yours: --time COLUMN:UNIT"),
         (HEADER, lambda r: r, ["--torque", "current:0.1 Nm"], 2, "no column 'current'; there are"),
-        (HEADER, lambda r: r, ["--torque", "torque_Nm:0.1 A"], 2, "no unit of it; there are Nm"),
+        (HEADER, lambda r: r, ["--torque", "torque_Nm:0.1 V"], 2, "no unit of it; there are Nm"),
         (HEADER, lambda r: r, ["--torque", "torque_Nm:x Nm"], 2, "'x' is no number"),
         (HEADER, lambda r: r, ["--position", "position_rad:mm"], 2, "are mixed"),
         (HEADER, put(99, 1, "nan"), [], 2,
@@ -160,7 +160,8 @@ def put(row: int, column: int, value: Any) -> Spoil:
         (HEADER, lambda r: [[t, y, -u] for t, y, u in r], [], 6, "sign or unit wrong"),
         (HEADER, lambda r: r, ["--method", "lock-in"], 6, "two steady oscillations of one period"),
         (HEADER, lambda r: r, ["--steady"], 6, "needed"),
-        (["time_s", "time_s", "torque_Nm"], lambda r: r, [], 2, "'time_s' stands there twice"),
+        (["time_s", "time_s", "torque_Nm"], lambda r: r, [], 2,
+         "There are: time_s, time_s (2), torque_Nm"),
     ],
 )  # fmt: skip
 def test_spoiled_recordings(
@@ -301,11 +302,11 @@ def test_no_library_s_words_reach_the_user(
         ("x.csv", b"", "no rows of numbers"),
         ("x.csv", b"\0\1\2" * 100, "is no text"),
         ("x.csv", b"a,b\n" * 50, "no rows of numbers"),
-        ("x.csv", b"1,2,3\n" * 50, "no header"),
+        ("x.csv", b"1,2,3\n" * 50, "There are: 1, 2, 3"),
         (
             "x.csv",
             b"time_s,position_rad,torque_Nm\n" + b"0,1,2\n" * 9 + b'"' + b"1,2,3\n" * 50000,
-            "no number",
+            "row 11 has 1 cells, the others 3",
         ),
         ("x (1).csv", b"time_s,position_rad,torque_Nm\n" + b"0,1,2\n" * 99, "time goes from"),
         ("x.mat", b"MATLAB 5.0 but not really" * 20, "cannot be read as .mat"),

@@ -101,7 +101,7 @@ def test_what_is_proved_is_stored_once_and_not_before(
     )
     assert values(link) == stored(tmp_path) == pytest.approx(PROVED, rel=0.1)
     assert events() == [STORING, STORED]
-    assert "in its RAM, and stored once they are proved" in done.stdout
+    assert "STORE what helps, or put the old values back" in done.stdout
 
 
 def failing(error: BaseException, after: int) -> Callable[..., Any]:

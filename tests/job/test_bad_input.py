@@ -27,6 +27,7 @@ posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 TRAVEL = ("--travel", "3", "--yes")
 # so many periods that there is time to break in, whatever else this computer does
 LONG = ("--travel", "20", "--yes", "--cycle", "0.004", "--method", "two-relay", "--repeat", "50")
+TOLD = (*LONG, "-v")
 
 
 def one_line(done: subprocess.CompletedProcess[str], code: int, words: str) -> None:
@@ -65,16 +66,16 @@ def assert_safe_and_complete(link: str) -> None:
         (["identify", "nosuch"], "no link and no axis file"),
         (["identify", "modbus-tpc://10.0.0.1"], "did you mean modbus-tcp://?"),
         (["identify", "nosuch.toml"], "cannot be read"),
-        (["identify", "virtual://bench", "--travel", "abc"], "must be a positive number"),
-        (["identify", "virtual://bench", "--travel", "-1"], "must be a positive number"),
+        (["identify", "virtual://bench", "--travel", "abc"], "'abc' is no number with a unit"),
+        (["identify", "virtual://bench", "--travel", "-1"], "not in the range 0<x"),
         (["identify", "virtual://bench", "--fraction", "2"], "0<=x<=1"),
         (["identify", "virtual://bench", "--no-such-option"], "No such option"),
         (["identify"], "Missing argument"),
         (["frobnicate"], "No such command"),
         (["report", "nosuch"], "no run named 'nosuch'"),
         (["profile", "check", "nosuch.toml"], "cannot be read"),
-        (["identify", "virtual://bench", "--cycle", "nan"], "no finite number"),
-        (["identify", "virtual://bench", "--max-torque", "inf"], "no finite number"),
+        (["identify", "virtual://bench", "--cycle", "nan"], "is no number with a unit"),
+        (["identify", "virtual://bench", "--max-torque", "inf"], "is no number with a unit"),
         (["identify", "virtual://bench", "--json", "/no/such/folder/x"], "cannot be written"),
         (["identify", "virtual://bench", "--trace", "x"], "has no frames"),
         (["identify", "virtual://bench?encoder=1e12"], "must be 16…"),
@@ -297,7 +298,7 @@ SIGNALS = [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
 @posix
 def test_ctrl_c_in_mid_test(serve: Serve) -> None:
     link = serve("bench", *WIRES["modbus-tcp"])[0]
-    with running("identify", link, *LONG) as process:
+    with running("identify", link, *TOLD) as process:
         wait_for(process, "short pushes")
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=30)
@@ -314,7 +315,7 @@ def test_a_signal_in_some_cycle_ends_the_job_in_order(
 ) -> None:
     link = serve("bench", *WIRES[wire], "--clock", "step")[0]
     with signalled(number, cycles):
-        done = tworelay("identify", link, *LONG)
+        done = tworelay("identify", link, *TOLD)
     one_line(done, code, f"interrupted by {number.name}")
     assert_safe_and_complete(link)
 
@@ -374,7 +375,7 @@ def test_the_link_is_cut_in_mid_test(tworelay: Tworelay, serve: Serve) -> None:
     port = int(link.split(":")[2].split("?")[0])
     cable = Cable(port)
     through = link.replace(str(port), str(cable.port))
-    with running("identify", through, *LONG) as process:
+    with running("identify", through, *TOLD) as process:
         wait_for(process, "staging")
         cable.cut()
         _, errors = process.communicate(timeout=30)
@@ -403,7 +404,7 @@ def test_a_run_killed_with_a_profile_of_its_own_can_be_restored(
         source_text("virtual-modbus").replace('name = "virtual-modbus"', 'name = "mine"')
     )
     link = serve("bench", *WIRES["modbus-tcp"], "--clock", "step")[0]
-    with running("identify", link, *LONG, "--profile", str(path)) as process:
+    with running("identify", link, *TOLD, "--profile", str(path)) as process:
         wait_for(process, "staging")
         process.kill()
         process.wait(10)
@@ -423,7 +424,7 @@ def test_a_drive_has_one_owner_and_a_dead_one_is_none(
     tworelay: Tworelay, serve: Serve, tmp_path: Path
 ) -> None:
     link = serve("bench", *WIRES["modbus-tcp"], "--clock", "step")[0]
-    with running("identify", link, *LONG) as process:
+    with running("identify", link, *TOLD) as process:
         wait_for(process, "staging")
         refused = tworelay(
             "identify", link, *TRAVEL, environment={"TWORELAY_HOME": str(tmp_path / "other")}
@@ -461,7 +462,7 @@ def test_killed_in_mid_test_step_by_step(tworelay: Tworelay, serve: Serve, wire:
 
 
 def killed_in_mid_test(tworelay: Tworelay, link: str) -> None:
-    with running("identify", link, *LONG) as process:
+    with running("identify", link, *TOLD) as process:
         wait_for(process, "staging")
         process.kill()
         process.wait(10)

@@ -307,7 +307,7 @@ def test_a_proof_that_failed_is_not_shown_as_finished(tworelay: Tworelay) -> Non
     with signalled(signal.SIGINT, 20000):
         done = tworelay("commission", "virtual://bench", "--yes")
     assert done.returncode == 130
-    assert "50 % of the friction compensated" in done.stdout
+    assert "proof with 50 %" in done.stdout
     page = Path(tworelay("report", "last").stdout.strip()).read_text("utf-8")
     assert "· stopped" in page
     assert "· completed" not in page

@@ -30,12 +30,17 @@ kind = "none"
 """
 LONG = (
     "--travel", "20", "--yes", "--cycle", "0.004", "--without-watchdog", "--method", "two-relay",
+    "-v",
 )  # fmt: skip
 
 
 def unwatched(serve: Serve, tmp_path: Path, wire: str) -> Axis:
     """An axis whose drive would go on for ever."""
-    (link,) = serve("bench", *WIRES[wire])
+    (link,) = serve(
+        "bench",
+        *WIRES[wire],
+        "-v",
+    )
     base = "virtual-canopen" if link.startswith("canopen") else "virtual-modbus"
     profile = tmp_path / "unwatched.toml"
     profile.write_text(WITHOUT.format(base=base))

@@ -31,7 +31,8 @@ DOORS = {
     "drivers/canopen/adapters.py",
     "drivers/modbus/answers.py", "drivers/modbus/client.py", "drivers/virtual/serve.py",
     "commissioning/fleet/file.py", "commissioning/fleet/ledger.py", "commissioning/fleet/plan.py",
-    "commissioning/result/fleet_codec.py",
+    "commissioning/result/fleet_codec.py", "commissioning/panel/feed.py",
+    "commissioning/panel/process.py", "commissioning/recordings/arrays.py",
 }  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["UNITS", "Kind", "Said", "UnitOfUse", "number", "parse", "unit_named", "units_of"]
+__all__ = ["UNITS", "InUnit", "Kind", "UnitOfUse", "number", "parse", "unit_named", "units_of"]
 
 Kind = Literal[
     "time", "position", "velocity", "torque", "current", "share", "frequency", "temperature",
@@ -38,7 +38,7 @@ class UnitOfUse:
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class InUnit:
     """A number in SI, and what its unit says of the axis; None: there was no unit."""
 
     si: float
@@ -139,7 +139,7 @@ def number(text: str) -> float:
     return float(plain.replace(",", "."))
 
 
-def parse(text: str) -> Said:
+def parse(text: str) -> InUnit:
     """'0,5', '12 deg', '3000rpm', '85 %': the number in SI; raises ValueError.
 
     In a unit that takes a base it is in that unit's SI part: counts, A, a share of 1.
@@ -150,8 +150,8 @@ def parse(text: str) -> Said:
         raise ValueError(f"'{text.strip():.40}' is no number with a unit")
     value, rest = number(found[0]), plain[found.end() :].strip()
     if not rest:
-        return Said(value, None)
+        return InUnit(value, None)
     unit = unit_named(rest)
     if unit is None:
         raise ValueError(f"'{rest:.40}' is no unit that is known")
-    return Said(value * unit.factor, unit)
+    return InUnit(value * unit.factor, unit)

@@ -35,7 +35,8 @@ def say(text: str = "", *, err: bool = False, style: str | None = None) -> None:
     `style` : a colour, on terminals that are to have any
     """
     shown = "\n".join(_folded(plain(text), sys.stderr if err else sys.stdout))
-    is_coloured = style is not None and not os.environ.get("NO_COLOR")
+    plainly = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    is_coloured = style is not None and not plainly
     _write((click.style(shown, fg=style) if is_coloured else shown) + "\n", err=err)
 
 

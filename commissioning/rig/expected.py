@@ -8,7 +8,7 @@ from commissioning.desk import Options
 from commissioning.experiments.plan import Context
 from commissioning.experiments.tracking import SWING, path_for
 from commissioning.result.readings import MethodName
-from commissioning.rig.preflight import POSITION, TORQUE, Limits
+from commissioning.rig.preflight import POSITION, SILENCE, TORQUE, Limits
 from commissioning.watching import Setting, Stage
 from drivers.drive import Drive
 from profiles.axis import Axis
@@ -109,7 +109,7 @@ def to_one_side(limits: Limits) -> float:
 
 def _silence(options: Options, drive: Drive) -> float:
     """Time of a proof of the watchdog, s."""
-    return 0.0 if options.without_watchdog else 3 * drive.watchdog.timeout
+    return 0.0 if options.without_watchdog else SILENCE * drive.watchdog.timeout
 
 
 def lasting(periods: float, period: float) -> float:

@@ -14,7 +14,7 @@ from commissioning.desk import Desk
 from commissioning.envelope import Envelope
 from commissioning.experiments.plan import Plan
 from commissioning.guardian import Guardian
-from commissioning.rig.preflight import Limits, prove_watchdog, set_limits, widen_speed
+from commissioning.rig.preflight import SILENCE, Limits, prove_watchdog, set_limits, widen_speed
 from commissioning.runner import Recorder, run
 from commissioning.settings import Settings
 from drivers.drive import Drive
@@ -115,15 +115,14 @@ class Mover:
         """See the drive stop by itself under the torque `rest` (N.m or N) that holds the axis."""
         self._prepare(Mode.TORQUE)
         is_first = self._watchdog_fault is None
-        tell = self.recorder.phase if is_first else lambda text: None
+        if is_first and not self._without_watchdog:
+            silence = SILENCE * self._drive.watchdog.timeout
+            self.recorder.phase(f"proof of the watchdog: silence for {silence * 1000:.0f} ms")
         self._watchdog_fault = prove_watchdog(
-            self._drive, rest, self._limits.travel, self._desk.interruption, tell,
+            self._drive, rest, self._limits.travel, self._desk.interruption,
+            self._desk.tell if is_first else lambda text: None,
             without=self._without_watchdog, before=self._watchdog_fault,
         )  # fmt: skip
-        if is_first and self._watchdog_fault:
-            self._desk.tell(
-                f"proof of the watchdog: the drive stopped by itself, with {self._watchdog_fault}"
-            )
 
     def move(
         self, plan: Plan[T], envelope: Envelope, rest: float, *, leave_moving: bool = False

@@ -42,6 +42,7 @@ _AT_REST_COUNTS = 3
 _LOOK_INTERVAL, _TIME_TO_REST = 0.05, 1.0  # s; it may still settle from what was before
 CYCLES_A_WATCHDOG = 3
 _FEWEST_COUNTS = 500  # of travel
+SILENCE = 3  # of the watchdog's time-out, in its proof
 _PROOF_CYCLES = 5
 _LARGEST_MOVE_IN_PROOF = 0.05  # of the travel, in the proof
 _DRIVE_SPEED = 1.2  # of our limit: what the drive is told
@@ -395,7 +396,6 @@ def prove_watchdog(
             " (the guardian process stops it should this program fail)"
         )
         return ""
-    tell(f"proof of the watchdog: silence for {3 * watchdog.timeout * 1000:.0f} ms")
     with interruption.deferred():
         try:
             begin = drive.read("position_actual").si
@@ -406,7 +406,7 @@ def prove_watchdog(
                         f"the drive stopped before the proof of its watchdog: {drive.state().text}",
                         code="watchdog.stopped-before",
                     )
-            drive.wait(3 * watchdog.timeout)
+            drive.wait(SILENCE * watchdog.timeout)
             energised = drive.state().is_energised
             if energised:  # a brake takes its time
                 drive.wait(drive.stop_time)
@@ -417,7 +417,8 @@ def prove_watchdog(
         if energised:
             verified(drive.stop(interruption.hurried), None)
             raise PreflightRefused(
-                f"the drive did not stop after {3 * watchdog.timeout * 1000:.0f} ms of silence: "
+                f"the drive did not stop after {1000 * SILENCE * watchdog.timeout:.0f} ms of "
+                "silence: "
                 f"its watchdog ('{watchdog.parameter}') is not proved, so nothing is moved. (A "
                 "served drive that steps needs clock=step in its link.)",
                 code="watchdog.not-proved",

@@ -141,7 +141,7 @@ def put(row: int, column: int, value: Any) -> Spoil:
     [
         (["t", "x", "u"], lambda r: r, [], 2, "no column 'time_s'; name yours: --time COLUMN:UNIT"),
         (HEADER, lambda r: r, ["--torque", "current:0.1 Nm"], 2, "no column 'current'; there are"),
-        (HEADER, lambda r: r, ["--torque", "torque_Nm:0.1 V"], 2, "no unit of it; there are Nm"),
+        (HEADER, lambda r: r, ["--torque", "torque_Nm:0.1 V"], 2, "no unit of it; there are N.m"),
         (HEADER, lambda r: r, ["--torque", "torque_Nm:x Nm"], 2, "'x' is no number"),
         (HEADER, lambda r: r, ["--position", "position_rad:mm"], 2, "are mixed"),
         (HEADER, put(99, 1, "nan"), [], 2,

@@ -73,7 +73,7 @@ def test_a_modbus_drive_with_two_keys_and_a_linear_zone(
     done = tworelay("commission", link, *options)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "less error after reversals with 85 % of the friction compensated" in done.stdout
-    assert "coulomb_negative: 0 → -85, read back" in done.stdout
+    assert "coulomb_negative -0.085 N·m" in done.stdout
     assert tworelay("restore", "last", "--yes").returncode == 0
 
 

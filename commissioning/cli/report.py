@@ -31,15 +31,16 @@ def say_report(run: str, screen: Screen) -> None:
         screen.say(f"no report: {error}; 'tworelay report {run}' tries again")
 
 
-def write_report(run: str, output: str | None) -> Path:
+def write_report(run: str, output: str | None, language: str | None = None) -> Path:
     """Render and write; returns the file."""
     from commissioning.journal import Journal
     from commissioning.report.html import render
+    from commissioning.result.language import usual
     from commissioning.runs import resolve
     from drivers.home import home
 
     with Journal(home(), reading=True) as journal:
         run_id, folder = resolve(journal, run)
         history = folder.history(journal, run_id)
-    text = render(folder.result(history), folder.samples(), history)
+    text = render(folder.result(history), folder.samples(), history, language or usual())
     return written(text.encode(), output, folder.path / "report.html", run_id)

@@ -13,6 +13,7 @@ from commissioning.result.words import (
     QUANTITY_LABELS,
     VERDICTS,
     act_ended,
+    counted,
     distorted,
     duration,
     found_as,
@@ -31,7 +32,6 @@ from commissioning.result.words import (
 if TYPE_CHECKING:
     from commissioning.result.changes import Change
     from commissioning.result.document import RunResult
-    from commissioning.result.found import Quantity
     from commissioning.result.worth import GainSet
     from commissioning.session.adopt import Adopted
     from commissioning.settings import Return
@@ -50,23 +50,13 @@ _COLOURS = {"good": "green", "doubt": "yellow", "bad": "red"}
 _VERDICT_COLOURS = {"good": "green", "usable": "yellow", "curve-only": "yellow", "rejected": "red"}
 
 
-def _in_drive(found: Quantity) -> str:
-    """A quantity as the drive counts it; shares of rated torque in per cent."""
-    if found.raw is None or found.raw_unit is None:
-        return ""
-    scale, _, unit = found.raw_unit.rpartition(" ")
-    if unit == "rated":
-        return f"{100 * found.raw * float(scale or 1):.2f} % of rated"
-    return f"{found.raw:.1f} x {found.raw_unit}"
-
-
 def found(result: RunResult, screen: Screen) -> None:
     """Verdict and friction: the number that matters."""
     quality, friction = result.quality, result.friction.coulomb
     text = VERDICTS[quality.verdict]
     if friction is not None:
-        counted = _in_drive(friction)
-        text += f": Coulomb friction {found_as(friction)}" + (f", {counted}" if counted else "")
+        there = counted(friction)
+        text += f": Coulomb friction {found_as(friction)}" + (f", {there}" if there else "")
     screen.say(text, _VERDICT_COLOURS.get(quality.verdict or ""))
 
 
@@ -100,7 +90,7 @@ def summary(result: RunResult, screen: Screen) -> None:
 def _in_full(result: RunResult, screen: Screen) -> None:
     found = result.friction
     rows = [
-        [name, si(q.value, q.unit), interval(q.low, q.high), _in_drive(q)]
+        [name, si(q.value, q.unit), interval(q.low, q.high), counted(q)]
         for key, name in QUANTITY_LABELS.items()
         if (q := getattr(found, key)) is not None
     ]

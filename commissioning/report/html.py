@@ -10,12 +10,15 @@ import numpy as np
 
 from commissioning.records import History
 from commissioning.report import figures
+from commissioning.report.interactive import live
 from commissioning.report.quiet import quiet
 from commissioning.report.templates import template
 from commissioning.result import words
 from commissioning.result.codec import printable
 from commissioning.result.document import RunResult
 from commissioning.result.found import POINTS, QUANTITIES
+from commissioning.result.language import language as spoken
+from commissioning.result.language import speaking
 from commissioning.result.worth import LOOPS
 from commissioning.samples import Samples
 from profiles.errors import UsageError
@@ -40,14 +43,17 @@ _QUANTITIES = {
 }
 
 
-def render(result: RunResult, samples: Samples | None, history: History) -> str:
+def render(
+    result: RunResult, samples: Samples | None, history: History, language: str = "en"
+) -> str:
     """HTML text of the report; everything in it that is not ours is escaped.
 
     Raises UsageError when its numbers make no picture.
     """
     result = printable(result)
     try:
-        with np.errstate(divide="raise", invalid="raise", over="raise"), quiet():
+        errors = np.errstate(divide="raise", invalid="raise", over="raise")
+        with errors, quiet(), speaking(language):
             return _render(result, samples, history)
     except (LookupError, ValueError, ArithmeticError) as error:
         raise UsageError(
@@ -82,7 +88,9 @@ def _render(result: RunResult, samples: Samples | None, history: History) -> str
     if samples is not None and len(samples) > 1:
         samples.phases = [p._replace(text=plain(p.text)) for p in samples.phases]
         stages = figures.stages(samples)
-    created = time.strftime("%Y-%m-%d %H:%M", time.localtime(history.run.created))
+    created = time.strftime("%Y-%m-%d %H:%M %z", time.localtime(history.run.created))
+    shown = live(result, samples)
+    coulomb = result.friction.coulomb
     return template("report.html.j2").render(
         r=result,
         history=history,
@@ -102,4 +110,21 @@ def _render(result: RunResult, samples: Samples | None, history: History) -> str
         ],
         loops=[(loop, words.LOOP_TITLES[loop], result.of_loop(loop)) for loop in LOOPS],
         words=words,
+        language=spoken(),
+        as_of=result.ended or created,
+        counted=words.counted(coulomb) if coulomb else "",
+        proofs=_proofs(result, samples),
+        live=shown,
+        live_scripts=[markupsafe.Markup(s) for s in shown.scripts] if shown else [],  # noqa: S704
+        live_pictures=[(t, markupsafe.Markup(div)) for t, div in shown.pictures] if shown else [],  # noqa: S704
     )
+
+
+_PROOFS = ("stop path proved", "proof of the watchdog", "the drive noticed it")
+
+
+def _proofs(result: RunResult, samples: Samples | None) -> list[str]:
+    """What was said of the proofs while the run went on."""
+    if samples is None:
+        return []
+    return [phase.text for phase in samples.phases if phase.text.startswith(_PROOFS)]

@@ -9,6 +9,7 @@ import jinja2
 
 from commissioning.result import words
 from commissioning.result.found import Quantity
+from commissioning.result.language import said
 from profiles.plain import plain
 
 __all__ = ["template"]
@@ -25,6 +26,7 @@ def template(name: str) -> jinja2.Template:
         "si": _si, "seconds": words.duration, "brief": _brief, "remaining": words.remaining,
         "found": _found,
     }  # fmt: skip
+    environment.globals["_"] = said
     environment.tests |= {"search": lambda text, part: part in text}
     return environment.from_string((files("commissioning.report") / name).read_text("utf-8"))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime
-from math import floor, log10
+from math import degrees, floor, log10, pi
 from typing import Literal
 
 from commissioning.result.changes import Change, Host
@@ -12,6 +12,7 @@ from commissioning.result.document import RunResult
 from commissioning.result.endings import AxisState, CompensationState, DriveState, SettingsState
 from commissioning.result.experiment import Experiment
 from commissioning.result.found import Quantity, Units
+from commissioning.result.language import digits, said
 from commissioning.result.worth import GainSet, Verification
 
 __all__ = [
@@ -23,7 +24,9 @@ __all__ = [
     "WHY_NOT",
     "act_ended",
     "axis_words",
+    "both_ways",
     "change_state",
+    "counted",
     "distorted",
     "duration",
     "found_as",
@@ -39,6 +42,7 @@ __all__ = [
     "percent",
     "remaining",
     "repeated",
+    "rpm",
     "si",
     "tone",
     "uncertain",
@@ -82,7 +86,7 @@ VERDICTS = {
 
 def number(value: float | None, of: str = "") -> str:
     """Four digits and the unit, or a dash."""
-    return "–" if value is None else f"{value:.4g} {of}".rstrip()
+    return "–" if value is None else digits(f"{value:.4g} {of}".rstrip())
 
 
 def repeated(watched: Experiment, friction: Quantity) -> str:
@@ -99,8 +103,8 @@ def measured(value: float, low: float | None, high: float | None, of: str = "") 
     """A value to two digits of what it is uncertain by, and the unit."""
     if low is None or high is None or not high > low:
         return number(value, of)
-    digits = 1 - floor(log10((high - low) / 2))
-    return f"{round(value, digits) + 0.0:.6g} {of}".rstrip()
+    places = 1 - floor(log10((high - low) / 2))
+    return digits(f"{round(value, places) + 0.0:.6g} {of}".rstrip())
 
 
 _SKEWED = 0.15  # of the interval: the value is so far from its middle that both ends are said
@@ -118,19 +122,19 @@ def uncertain(value: float, low: float | None, high: float | None, of: str = "")
     power = 3 * floor(log10(max(abs(value), half)) / 3)
     power = power if not -5 < log10(max(abs(value), half)) < 6 else 0
     value, low, high, half = (one / 10.0**power for one in (value, low, high, half))
-    digits = max(1 - floor(log10(half)), 0)
+    places = max(1 - floor(log10(half)), 0)
 
-    def said(one: float) -> str:
-        shown = round(one, digits) + 0.0
-        return f"{shown:.{digits}f}" if shown else "0"
+    def shown(one: float) -> str:
+        rounded = round(one, places) + 0.0
+        return f"{rounded:.{places}f}" if rounded else "0"
 
     is_skewed = abs(value - (low + high) / 2) > _SKEWED * half
-    ends = f"({said(low)} … {said(high)})" if is_skewed else f"± {said(half)}"
-    text = f"{said(value)} {ends}"
+    ends = f"({shown(low)} … {shown(high)})" if is_skewed else f"± {shown(half)}"
+    text = f"{shown(value)} {ends}"
     if power:
         text = f"({text})" if not is_skewed else text
         text += f"·10{str(power).translate(_POWERS)}"
-    return f"{text} {of}".rstrip()
+    return digits(f"{text} {of}".rstrip())
 
 
 def found_as(found: Quantity) -> str:
@@ -141,6 +145,27 @@ def found_as(found: Quantity) -> str:
     value, low, high = (None if one is None else 1000 * one for one in ends)
     assert value is not None
     return uncertain(value, low, high, "ms")
+
+
+def counted(found: Quantity) -> str:
+    """A quantity as the drive counts it, shares of rated torque in per cent; '' where not."""
+    if found.raw is None or found.raw_unit is None:
+        return ""
+    scale, _, name = found.raw_unit.rpartition(" ")
+    if name == "rated":
+        return digits(f"{100 * found.raw * float(scale or 1):.2f} % of rated")
+    return digits(f"{found.raw:.1f} x {found.raw_unit}")
+
+
+def both_ways(value: float, of: str) -> str:
+    """A position as it is, and in degrees or millimetres."""
+    other = f"{degrees(value):.4g}°" if of == "rad" else f"{1000 * value:.4g} mm"
+    return digits(f"{value:.4g} {of} ({other})")
+
+
+def rpm(value: float) -> str:
+    """A speed in rad/s, in revolutions per minute."""
+    return digits(f"{value * 30 / pi:.4g} rpm")
 
 
 def si(value: float, of: str) -> str:
@@ -159,15 +184,15 @@ def interval(low: float | None, high: float | None) -> str:
         return "–"
     largest = max(abs(low), abs(high), 1e-300)
     width = max(high - low, 1e-6 * largest)
-    digits = min(max(2 - floor(log10(width / largest)), 3), 6)
-    return f"{low:.{digits}g} … {high:.{digits}g}"
+    places = min(max(2 - floor(log10(width / largest)), 3), 6)
+    return digits(f"{low:.{places}g} … {high:.{places}g}")
 
 
 def duration(value: float | None) -> str:
     """A time in ms below a second, else in s; None: never."""
     if value is None:
-        return "never"
-    return f"{value:.2f} s" if value >= 1 else f"{1000 * value:.0f} ms"
+        return said("never")
+    return digits(f"{value:.2f} s") if value >= 1 else f"{1000 * value:.0f} ms"
 
 
 def iso(instant: float | None) -> str | None:
@@ -251,14 +276,14 @@ def change_state(change: Change, result: RunResult) -> str:
 def nothing_proposed(result: RunResult) -> str:
     """Why a run proposes nothing to be written."""
     if result.friction.coulomb is None:
-        return "no friction was measured, so there is nothing to write"
+        return said("no friction was measured, so there is nothing to write")
     if result.host_compensation is not None:
         return host_law(result.host_compensation)
     if result.quality.has("proposal.impossible"):
-        return "the drive cannot hold what was found: the reasons are above"
+        return said("the drive cannot hold what was found: the reasons are above")
     if result.identity is None:
-        return "a recording has no drive to write to"
-    return "this drive has no friction compensation to write to: identify and report only"
+        return said("a recording has no drive to write to")
+    return said("this drive has no friction compensation to write to: identify and report only")
 
 
 def distorted(result: RunResult) -> str:
@@ -278,12 +303,17 @@ def helps(found: Verification) -> str:
     """What a proof says."""
     kept = found.kept
     if kept is None or found.percent is None:
-        return "verified: the compensation did not help; the old values were put back"
-    before, unit_of = found.steps[0].reversal_error, found.unit
-    return (
-        f"verified: {found.percent:.0f} % less error after reversals with {100 * kept.fraction:g} "
-        f"% of the friction compensated ({before:.3g} → {kept.reversal_error:.3g} {unit_of})"
+        return said("verified: the compensation did not help; the old values were put back")
+    text = said(
+        "verified: {percent} % less error after reversals with {share} % of the friction "
+        "compensated ({before} → {after} {unit})"
     )
+    return digits(
+        text.format(
+            percent=f"{found.percent:.0f}", share=f"{100 * kept.fraction:g}", unit=found.unit,
+            before=f"{found.steps[0].reversal_error:.3g}", after=f"{kept.reversal_error:.3g}",
+        )
+    )  # fmt: skip
 
 
 # -- how it ended ---------------------------------------------------------------------------------
@@ -301,7 +331,7 @@ _NAMES_SHOWN = 4
 
 def axis_words(state: AxisState) -> str:
     """What is known of an axis."""
-    return _AXIS[state]
+    return said(_AXIS[state])
 
 
 def act_ended(result: RunResult) -> str:
@@ -313,7 +343,7 @@ def act_ended(result: RunResult) -> str:
     """
     ending = result.ending
     if ending is None:
-        return (
+        return said(
             "under way, or cut off: nothing is known of its end; 'tworelay stop' and 'tworelay "
             "restore' finish it"
         )
@@ -323,10 +353,10 @@ def act_ended(result: RunResult) -> str:
     if ending.drive is not None:
         known.append(_drive(ending.drive, result))
     asked = ending.axis in (AxisState.AT_REST, AxisState.HELD)
-    source = "" if asked or not known else "by the journal, "
-    parts = [_AXIS[ending.axis], source + "; ".join(known)] if known else [_AXIS[ending.axis]]
+    source = "" if asked or not known else said("by the journal, ")
+    parts = [axis_words(ending.axis), *([source + "; ".join(known)] if known else [])]
     if ending.said_by is not None:
-        parts.append(f"ended by {ending.said_by}")
+        parts.append(f"{said('ended by')} {ending.said_by}")
     return "; ".join(parts)
 
 
@@ -351,34 +381,40 @@ def tone(result: RunResult) -> Literal["good", "doubt", "bad"]:
 def _settings(state: SettingsState, run: str) -> str:
     names = state.names
     if not names:
-        return "settings put back"
-    return f"settings NOT put back: {_some(names)} ('tworelay restore {run}' tries again)"
+        return said("settings put back")
+    text = said("settings NOT put back: {names} ('tworelay restore {run}' tries again)")
+    return text.format(names=_some(names), run=run)
 
 
 def _some(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _NAMES_SHOWN} more" if names[_NAMES_SHOWN:] else ""
+    left = len(names) - _NAMES_SHOWN
+    more = f" {said('and {count} more').format(count=left)}" if left > 0 else ""
     return ", ".join(names[:_NAMES_SHOWN]) + more
 
 
 def _drive(state: DriveState, result: RunResult) -> str:
-    way = f"('tworelay restore {result.run}' puts the old values back)"
+    way = said("('tworelay restore {run}' puts the old values back)").format(run=result.run)
     if state.compensation is CompensationState.NOT_KNOWN:
-        return f"it is NOT KNOWN what compensation the drive has {way}" + _gains(result)
+        known = said("it is NOT KNOWN what compensation the drive has")
+        return f"{known} {way}" + _gains(result)
     if state.compensation is CompensationState.OF_OTHER:
-        return "the drive's compensation is of another run"
+        return said("the drive's compensation is of another run")
     if state.compensation is CompensationState.AS_FOUND:
-        memory = "" if state.stored is None else f", in its RAM: its memory may have others {way}"
-        return f"the drive's compensation is as it was found{memory}" + _gains(result)
-    what = "of this run"
+        other = said("in its RAM: its memory may have others")
+        memory = "" if state.stored is None else f", {other} {way}"
+        return said("the drive's compensation is as it was found") + memory + _gains(result)
+    what = said("of this run")
     if state.compensation is CompensationState.PARTLY:
         values = [f"{w.parameter} = {w.raw}" for w in result.written if w.kind == "compensation"]
-        what = f"what this run left on its way ({_some(values)}, raw)"
+        left = said("what this run left on its way ({values}, raw)")
+        what = left.format(values=_some(values))
     stored = {
         True: "stored",
         False: "in its RAM only, lost at power-off",
         None: "not known to be stored",
     }
-    return f"the drive's compensation is {what}, {stored[state.stored]}" + _gains(result)
+    text = said("the drive's compensation is {what}, {stored}")
+    return text.format(what=what, stored=said(stored[state.stored])) + _gains(result)
 
 
 def _gains(result: RunResult) -> str:
@@ -386,6 +422,9 @@ def _gains(result: RunResult) -> str:
     gains = [one for one in result.written if one.kind == "gain"]
     sure = [one.parameter for one in gains if one.certain]
     unsure = [one.parameter for one in gains if not one.certain]
-    return (f", with gains of this run ({_some(sure)})" if sure else "") + (
-        f", and NOT KNOWN gains ({_some(unsure)})" if unsure else ""
-    )
+    text = ""
+    if sure:
+        text += ", " + said("with gains of this run ({names})").format(names=_some(sure))
+    if unsure:
+        text += ", " + said("and NOT KNOWN gains ({names})").format(names=_some(unsure))
+    return text

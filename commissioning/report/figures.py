@@ -17,10 +17,12 @@ from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from commissioning.identification.describing_function import equivalent, inverse_locus, relay
+from commissioning.report.reduced import reduced
 from commissioning.result.document import RunResult
 from commissioning.result.experiment import Oscillated
 from commissioning.result.found import Units
-from commissioning.result.words import number
+from commissioning.result.language import said
+from commissioning.result.words import number, unit
 from commissioning.result.worth import GainSet, Verification
 from commissioning.samples import Array, Samples
 from commissioning.tuning.margins import LEAST_MARGIN
@@ -36,6 +38,8 @@ __all__ = [
     "overview",
     "phase_plane",
     "progress",
+    "stages",
+    "svg",
     "tests_over_time",
     "tuning",
 ]
@@ -60,18 +64,18 @@ _SHOWN_PERIODS = 3
 _MOST_POINTS = 4000
 
 
-def overview(samples: Samples, units: Units) -> str:
+def overview(samples: Samples, units: Units) -> Figure:
     """Position and torque over the whole run, with its phases."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9.2, 3.6), layout="constrained")
         top, bottom = figure.subplots(2, 1, sharex=True)
-        step = max(1, len(samples) // _MOST_POINTS)
-        time = samples.time[::step]
-        top.plot(time, samples.position[::step], color=BLUE, lw=0.7)
-        top.set_ylabel(f"position in {units.position}")
-        bottom.plot(time, samples.command[::step], color=ORANGE, lw=0.5)
-        bottom.set_ylabel(f"torque in {units.effort}")
-        bottom.set_xlabel("time in s")
+        columns = (samples.position, samples.command)
+        time, (position, command) = reduced(samples.time, columns, _MOST_POINTS)
+        top.plot(time, position, color=BLUE, lw=0.7)
+        top.set_ylabel(f"{said('position')}, {units.position}")
+        bottom.plot(time, command, color=ORANGE, lw=0.5)
+        bottom.set_ylabel(f"{said('torque')}, {unit(units.effort)}")
+        bottom.set_xlabel(said("time in s"))
         number = 0
         for phase in samples.phases:
             if phase.at >= len(samples) or phase.kind != "step":
@@ -84,7 +88,7 @@ def overview(samples: Samples, units: Units) -> str:
                 str(number), (at, 1.0), xycoords=("data", "axes fraction"), fontsize=8,
                 xytext=(2, -2), textcoords="offset points", va="top", color=GREY,
             )  # fmt: skip
-        return _svg(figure)
+        return figure
 
 
 def stages(samples: Samples) -> list[tuple[float, str]]:
@@ -120,7 +124,7 @@ def tests_over_time(samples: Samples, result: RunResult) -> str:
         for row, label in enumerate((f"position in {p}", f"torque in {e}", f"velocity in {p}/s")):
             grid[row, 0].set_ylabel(label)
         grid[1, 0].legend(loc="upper right", fontsize=8)
-        return _svg(figure)
+        return svg(figure)
 
 
 def oscillations(result: RunResult) -> tuple[Oscillated, ...]:
@@ -145,7 +149,7 @@ def phase_plane(samples: Samples, result: RunResult) -> str:
         axes.set_xlabel(f"position in {units.position}")
         axes.set_ylabel(f"velocity in {units.position}/s")
         axes.legend(loc="upper right", fontsize=8)
-        return _svg(figure)
+        return svg(figure)
 
 
 def nyquist(result: RunResult) -> str:
@@ -190,7 +194,7 @@ def nyquist(result: RunResult) -> str:
         axes.set_xlabel(f"real part in {result.units.gain}")
         axes.set_ylabel(f"imaginary part in {result.units.gain}")
         axes.legend(loc="lower left", fontsize=6.5)
-        return _svg(figure)
+        return svg(figure)
 
 
 _MULTIPLES = (1.3, 2.0, 4.0)  # of the friction: amplitudes of the loci
@@ -276,7 +280,7 @@ def _identified(axes: Axes, result: RunResult, largest: float) -> None:
 
 def loci_svg(result: RunResult) -> str:
     """`loci` for the report."""
-    return _svg(loci(result))
+    return svg(loci(result))
 
 
 def tuning(result: RunResult, loop: str, curves: Mapping[str, Array]) -> str:
@@ -305,7 +309,7 @@ def tuning(result: RunResult, loop: str, curves: Mapping[str, Array]) -> str:
         left.set_xlabel("phase margin in degrees (below 0: unstable)")
         left.set_title("× naive    ● corrected    ◎ proposed    grey: too little", fontsize=8)
         _steps(right, sets, result.units.position, curves)
-        return _svg(figure)
+        return svg(figure)
 
 
 _MARGIN_RANGE = (-30.0, 85.0)
@@ -370,7 +374,7 @@ def friction_curve(result: RunResult) -> str:
         axes.set_xlabel(f"speed in {units.position}/s")
         axes.set_ylabel(f"friction in {units.effort}")
         axes.legend(loc="lower right", fontsize=8)
-        return _svg(figure)
+        return svg(figure)
 
 
 def narrows(result: RunResult) -> bool:
@@ -409,30 +413,35 @@ def progress(result: RunResult) -> str:
         for axes in (left, right):
             axes.set_xlabel("periods")
             axes.xaxis.get_major_locator().set_params(integer=True)
-        return _svg(figure)
+        return svg(figure)
 
 
-def following(found: Verification, curves: Mapping[str, Array]) -> str:
+def following(found: Verification, curves: Mapping[str, Array]) -> Figure | None:
     """Following error after reversals, without compensation and with what stays.
 
-    '' without a record.
+    None without a record.
     """
     kept = next((n for n, step in enumerate(found.steps) if step.kept), len(found.steps) - 1)
     before, after = (curves.get(f"verify.{n}") for n in (0, kept))
     if before is None or after is None or len(before) != 3 or len(after) != 3:
-        return ""
+        return None
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9.2, 3.6), layout="constrained")
         top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1, 2))
         top.plot(before[0], before[1], color=GREY, lw=1.0)
-        top.set_ylabel(f"command, {found.unit}")
-        bottom.plot(before[0], before[2], color=ORANGE, lw=1.0, ls="--", label="without")
+        top.set_ylabel(f"{said('position')}, {found.unit}")
+        bottom.plot(before[0], before[2], color=ORANGE, lw=1.0, ls="--", label=said("without"))
         share = 100 * found.steps[kept].fraction
-        bottom.plot(after[0], after[2], color=BLUE, lw=1.3, label=f"{share:g} % compensated")
-        bottom.set_ylabel(f"error, {found.unit}")
-        bottom.set_xlabel("time in s")
-        bottom.legend(loc="upper right", ncols=2)
-        return _svg(figure)
+        bottom.plot(after[0], after[2], color=BLUE, lw=1.3, label=f"{share:g} %")
+        bottom.set_ylabel(f"{said('error')}, {found.unit}")
+        bottom.set_xlabel(said("time in s"))
+        top.legend(
+            *bottom.get_legend_handles_labels(),
+            loc="lower center",
+            ncols=2,
+            bbox_to_anchor=(0.5, 1.0),
+        )
+        return figure
 
 
 def _locus(axes: Axes, values: NDArray[Any], color: str, dash: str, label: str) -> None:
@@ -453,7 +462,8 @@ def _velocity(samples: Samples, cut: Sequence[int] | NDArray[np.intp]) -> NDArra
     return gradient
 
 
-def _svg(figure: Figure) -> str:
+def svg(figure: Figure) -> str:
+    """A figure as an element of a page."""
     stream = io.StringIO()
     figure.savefig(stream, format="svg", metadata={"Date": None})
     text = stream.getvalue()

@@ -13,6 +13,7 @@ from commissioning.report import figures
 from commissioning.report.interactive import live
 from commissioning.report.quiet import quiet
 from commissioning.report.templates import template
+from commissioning.report.words_of import foot_of, proofs_of
 from commissioning.result import words
 from commissioning.result.codec import printable
 from commissioning.result.document import RunResult
@@ -65,7 +66,7 @@ def _pictures(result: RunResult, samples: Samples | None) -> Iterator[tuple[str,
     """Name and SVG of what there is to be seen."""
     curves = {} if samples is None else samples.curves
     if samples is not None and len(samples) > 1:
-        yield "overview", figures.overview(samples, result.units)
+        yield "overview", figures.svg(figures.overview(samples, result.units))
         if figures.oscillations(result):
             yield "tests", figures.tests_over_time(samples, result)
             yield "phase_plane", figures.phase_plane(samples, result)
@@ -77,7 +78,9 @@ def _pictures(result: RunResult, samples: Samples | None) -> Iterator[tuple[str,
         yield "nyquist", figures.nyquist(result)
         yield "loci", figures.loci_svg(result)
     if result.verification is not None:
-        yield "verification", figures.following(result.verification, curves)
+        followed = figures.following(result.verification, curves)
+        if followed is not None:
+            yield "verification", figures.svg(followed)
     for loop in LOOPS:
         if any(one.gains for one in result.of_loop(loop)):
             yield f"tuning_{loop}", figures.tuning(result, loop, curves)
@@ -111,20 +114,11 @@ def _render(result: RunResult, samples: Samples | None, history: History) -> str
         loops=[(loop, words.LOOP_TITLES[loop], result.of_loop(loop)) for loop in LOOPS],
         words=words,
         language=spoken(),
+        foot=foot_of(result, created),
         as_of=result.ended or created,
         counted=words.counted(coulomb) if coulomb else "",
-        proofs=_proofs(result, samples),
+        proofs=proofs_of(samples),
         live=shown,
         live_scripts=[markupsafe.Markup(s) for s in shown.scripts] if shown else [],  # noqa: S704
         live_pictures=[(t, markupsafe.Markup(div)) for t, div in shown.pictures] if shown else [],  # noqa: S704
     )
-
-
-_PROOFS = ("stop path proved", "proof of the watchdog", "the drive noticed it")
-
-
-def _proofs(result: RunResult, samples: Samples | None) -> list[str]:
-    """What was said of the proofs while the run went on."""
-    if samples is None:
-        return []
-    return [phase.text for phase in samples.phases if phase.text.startswith(_PROOFS)]

@@ -24,11 +24,16 @@ def template(name: str) -> jinja2.Template:
     )  # fmt: skip
     environment.filters |= {
         "si": _si, "seconds": words.duration, "brief": _brief, "remaining": words.remaining,
-        "found": _found,
+        "found": _found, "css": _css,
     }  # fmt: skip
     environment.globals["_"] = said
     environment.tests |= {"search": lambda text, part: part in text}
     return environment.from_string((files("commissioning.report") / name).read_text("utf-8"))
+
+
+def _css(text: str) -> str:
+    """A text within the quotes of a style sheet."""
+    return "".join(c if c.isalnum() or c in " ·.-_:+" else f"\\{ord(c):x} " for c in plain(text))
 
 
 def _found(quantity: Quantity) -> str:

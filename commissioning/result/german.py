@@ -47,6 +47,8 @@ GERMAN: Mapping[str, str] = {
     "Experiment": "Versuch",
     "Limits": "Grenzen",
     "Conditions": "Bedingungen",
+    "of cycles late": "der Zyklen verspätet",
+    "lost": "verloren",
     "Made by": "Erstellt von",
     "on": "auf",
     "by": "von",

@@ -104,6 +104,15 @@ def _hover(figure: Any, *rows: tuple[str, str]) -> None:
     )
 
 
+def _effort(result: RunResult) -> str:
+    return _safe(unit(result.units.effort))
+
+
+def _safe(text: str) -> str:
+    """A text of a file that anybody may have written: no formula, and nothing of HTML."""
+    return re.sub(r"[^\w ·²./()%+-]", "", text)
+
+
 def _source(**columns: Any) -> Any:
     models: Any = import_module("bokeh.models")
     return models.ColumnDataSource({k: np.asarray(v, np.float32) for k, v in columns.items()})
@@ -126,7 +135,7 @@ def _run(result: RunResult, samples: Samples) -> Any:
     """Position, torque and velocity over the whole run, zoomed and moved together."""
     layouts: Any = import_module("bokeh.layouts")
     units = result.units
-    p, e = units.position, unit(units.effort)
+    p, e = units.position, _effort(result)
     columns = (samples.position, samples.command, velocity_of(samples))
     time, (position, torque, velocity) = reduced(samples.time, columns, _MOST)
     source = _source(t=time, q=position, u=torque, v=velocity)
@@ -181,7 +190,7 @@ def _curve(result: RunResult) -> Any:
     models: Any = import_module("bokeh.models")
     curve, f = result.friction.curve, result.friction.coulomb
     assert curve is not None
-    p, e = result.units.position, unit(result.units.effort)
+    p, e = result.units.position, _effort(result)
     figure = _figure(f"{said('speed')}, {p}/s", f"{said('friction')}, {e}", height=_SQUARE)
     columns = {"w": curve.speed, "f": curve.friction}
     if curve.low and curve.high:
@@ -229,7 +238,7 @@ def _plant(result: RunResult) -> Any:
     g = response_of(found, w)
     phase = np.degrees(np.unwrap(np.angle(g)))
     phase -= 360 * np.round((phase[0] + 90) / 360)
-    gain = unit(result.units.gain)
+    gain = _safe(unit(result.units.gain))
     nyquist = _figure(
         f"{said('real part')}, {gain}", f"{said('imaginary part')}, {gain}", height=_SQUARE
     )

@@ -73,9 +73,7 @@ class _Paper(FPDF):
         """A paragraph."""
         self.set_font("text", "B" if bold else "", size)
         self.set_text_color(*colour)
-        self.multi_cell(
-            0, size * 0.5, plain(text), align="L", new_x=XPos.LMARGIN, new_y=YPos.NEXT
-        )
+        self.multi_cell(0, size * 0.5, plain(text), align="L", new_x=XPos.LMARGIN, new_y=YPos.NEXT)
 
     def heading(self, text: str) -> None:
         """A heading that stays with what comes after it."""
@@ -263,7 +261,8 @@ def _in_the_drive(page: _Paper, result: RunResult) -> None:
     page.line_of(words.helps(proof) + ".", bold=True)
     page.ln(1)
     heads = (
-        "Compensation", "after reversals, peak", "at low speed, rms", "at rest, half-swing", "state",
+        "Compensation", "after reversals, peak", "at low speed, rms", "at rest, half-swing",
+        "state",
     )  # fmt: skip
     rows = [[said(name) for name in heads]]
     for step in proof.steps:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import html
 import json
 import os
 import re
@@ -106,7 +109,8 @@ class _Resources(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         values = dict(attrs)
-        if tag in ("script", "link", "img", "iframe"):
+        is_within = tag == "script" and not values.get("src")
+        if tag in ("script", "link", "img", "iframe") and not is_within:
             self.fetched.append(values.get("src") or values.get("href") or tag)
 
     def handle_data(self, data: str) -> None:
@@ -131,7 +135,16 @@ def test_the_report_is_one_file_that_needs_nothing_else(
         "coulomb_positive",
     ):
         assert words in text, words
-    assert path.read_text("utf-8").count("<svg") == 8
+    page_of = path.read_text("utf-8")
+    assert page_of.split("<footer>")[0].count("<svg") == 8
+    assert len(page_of) < 3_000_000
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', page_of)
+    assert policy is not None
+    assert html.unescape(policy[1]).startswith("default-src 'none';")
+    scripts = re.findall(r"<script>(.*?)</script>", page_of, re.DOTALL)
+    hashes = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts]
+    assert len(scripts) == 3
+    assert re.findall(r"'sha256-([^']*)'", html.unescape(policy[1])) == hashes
 
 
 def test_what_comes_from_outside_is_escaped_in_the_report(
@@ -144,7 +157,9 @@ def test_what_comes_from_outside_is_escaped_in_the_report(
     result["identity"]["vendor"] = "<script>alert(1)</script>"
     (folder / "run.json").write_text(json.dumps(result))
     path = tworelay("report", str(folder)).stdout.strip()
-    assert "<script>" not in Path(path).read_text("utf-8")
+    text = Path(path).read_text("utf-8")
+    assert "<script>alert" not in text
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
 
 
 def test_a_refused_run_has_a_report_too(tworelay: Tworelay) -> None:

@@ -190,7 +190,8 @@ class ProfiledDrive:
         text, stranger = said.text, ""
         if code:
             meaning = error_codes.words(code) if self.profile.power is None else ""
-            text += f", error code {code:04X}h{meaning and f' ({meaning})'}"
+            told = self.profile.fault(code) or meaning
+            text += f", error code {code:04X}h{told and f' ({told})'}"
             if meaning and not error_codes.is_of_communication(code):
                 stranger = f"{code:04X}h, {meaning}"
         elif asks and code is None:

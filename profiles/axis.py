@@ -8,17 +8,25 @@ from __future__ import annotations
 
 from math import pi
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from profiles.errors import ProfileError
+from profiles.quantities import Kind, parse, units_of
 from profiles.strict import Strict
 from profiles.toml_files import load_model
 
 __all__ = ["Axis", "AxisLimits", "Mechanics", "axis_name", "axis_text", "load_axis"]
 
 Positive = Annotated[float, Field(gt=0)]
+_IN_UNITS: dict[str, tuple[Kind, ...]] = {  # keys that may be texts with a unit
+    "travel": ("position",), "cycle": ("time",), "rated_torque": ("torque",),
+    "torque_constant": ("torque constant",), "mechanics.feed": ("position",),
+    "limits.torque": ("torque",), "limits.speed": ("velocity",), "limits.duration": ("time",),
+    "limits.watchdog": ("time",), "limits.ends": ("position",),
+}  # fmt: skip
+_OF_THE_MOTOR = "rated_torque", "torque_constant"
 
 
 class Mechanics(Strict):
@@ -111,6 +119,28 @@ class Axis(Strict):
     group: str | None = None
     zone: str | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _to_si(cls, tree: Any) -> Any:
+        """Texts with units as numbers in SI."""
+        if not isinstance(tree, dict):
+            return tree
+        mechanics = tree.get("mechanics")
+        is_linear = isinstance(mechanics, dict) and mechanics.get("motion") == "linear"
+        found = {k: dict(v) if isinstance(v, dict) else v for k, v in tree.items()}
+        for key, kinds in _IN_UNITS.items():
+            section, _, name = key.rpartition(".")
+            there = found.get(section) if section else found
+            if not isinstance(there, dict) or name not in there:
+                continue
+            linear = None if key in _OF_THE_MOTOR else is_linear
+            value = there[name]
+            if isinstance(value, list):
+                there[name] = [_in_si(key, one, kinds, linear=linear) for one in value]
+            else:
+                there[name] = _in_si(key, value, kinds, linear=linear)
+        return found
+
     @property
     def position_unit(self) -> Literal["rad", "m"]:
         """ASCII unit of position."""
@@ -124,6 +154,24 @@ class Axis(Strict):
     def effort_unit(self) -> str:
         """ASCII unit of torque or force."""
         return "N.m" if self.mechanics.motion == "rotary" else "N"
+
+
+def _in_si(key: str, value: Any, kinds: tuple[Kind, ...], *, linear: bool | None) -> Any:
+    """A text with a unit in SI, anything else as it is; raises ValueError."""
+    if not isinstance(value, str):
+        return value
+    text = value.strip().removeprefix("±").removeprefix("+-")
+    try:
+        found = parse(text)
+    except ValueError as error:
+        raise ValueError(f"{key} = '{value}': {error}; there are {units_of(*kinds)}") from None
+    unit = found.unit
+    if unit is None or unit.kind not in kinds or unit.base:
+        raise ValueError(f"{key} = '{value}': give it a unit: {units_of(*kinds)}")
+    if linear is not None and unit.linear is not None and unit.linear is not linear:
+        kind = "linear" if linear else "rotary"
+        raise ValueError(f"{key} = '{value}': the axis is {kind}, {unit.name} is of the other kind")
+    return found.si
 
 
 def load_axis(path: Path) -> Axis:

@@ -42,6 +42,19 @@ _GAIN_UNITS = {
 }
 
 
+def fault_code(text: str) -> int:
+    """An error code as its manual has it: '7380h', '0x7380' or '29568'; raises ValueError."""
+    digits = text.strip().lower()
+    try:
+        if digits.endswith("h"):
+            return int(digits[:-1], 16)
+        return int(digits, 0)
+    except ValueError:
+        raise ValueError(
+            f"[faults] '{text}' is no error code: '7380h', '0x7380', '29568'"
+        ) from None
+
+
 class Profile(Strict):
     """A drive family: identity, parameters, procedures, limits.
 
@@ -81,6 +94,11 @@ class Profile(Strict):
         Literal["motor_temperature", "drive_temperature", "minutes_on"], str
     ] = {}  # what friction depends on beside wear: degC, min
     loops: LoopGains | None = None
+    faults: dict[str, Annotated[str, Field(min_length=1, max_length=200)]] = {}
+
+    def fault(self, code: int) -> str:
+        """What the profile says of an error code, and what to do; '' where it says nothing."""
+        return next((text for key, text in self.faults.items() if fault_code(key) == code), "")
 
     def __str__(self) -> str:
         return f"profile '{self.name}'"
@@ -93,6 +111,8 @@ class Profile(Strict):
     @model_validator(mode="after")
     def _check_names(self) -> Self:
         known = set(self.parameters)
+        for key in self.faults:
+            fault_code(key)
         if (self.state_machine == "procedure") != (self.power is not None):
             raise ValueError("[power] belongs to state_machine 'procedure', and only to that")
         if self.power is not None and self.moves != bool(self.power.enable):

@@ -68,7 +68,12 @@ class _LazyGroup(click.Group):
 
 
 @click.group(
-    cls=_LazyGroup, context_settings={"auto_envvar_prefix": "TWORELAY", "max_content_width": 100}
+    cls=_LazyGroup,
+    context_settings={
+        "auto_envvar_prefix": "TWORELAY",
+        "max_content_width": 100,
+        "help_option_names": ["-h", "--help"],
+    },
 )
 @click.version_option(package_name="tworelay")
 def cli() -> None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from commissioning.desk import Desk, connect, same_drive
 from commissioning.ending import axis_state, ended, erring
 from commissioning.journal import RESTORED, Journal
-from commissioning.records import History, Intent
+from commissioning.records import History, Intent, RunRecord
 from commissioning.result.endings import AxisState
 from commissioning.runs import RunFolder
 from commissioning.session.named import axis_of_run, resolve_any
@@ -76,6 +76,8 @@ def restore(
         _check_not_enabled(drive, desk, run_id)
         drive.preparation.check_word_order()
         intents = desk.journal.intents(run_id, open_only=True)
+        if not force:
+            _none_later(desk.journal, record, intents)
         plan = planned(drive, intents, force=force)
         show(plan, drive)
         if dry_run:
@@ -103,6 +105,22 @@ def restore(
                 raise
             _note_return(desk, folder, history, axis_state(drive, axis))
         return outcome
+
+
+def _none_later(journal: Journal, record: RunRecord, intents: list[Intent]) -> None:
+    """Raise Refused where a later run of the same drive has written over what would be put back."""
+    names = {intent.parameter for intent in intents if intent.lasts}
+    runs = [one.id for one in journal.on_drive(record.serial)] if record.serial else []
+    for later in reversed(runs[runs.index(record.id) + 1 :] if record.id in runs else []):
+        over = {i.parameter for i in journal.intents(later, open_only=True) if i.lasts} & names
+        if over:
+            raise Refused(
+                f"run {later} wrote {', '.join(sorted(over))} later, on the same drive: nothing "
+                "was written back",
+                code="restore.later-run",
+                hint=f"'tworelay restore {later}' first, or --force",
+                run=later,
+            )
 
 
 def _note_return(

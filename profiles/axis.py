@@ -136,7 +136,7 @@ class Axis(Strict):
             linear = None if key in _OF_THE_MOTOR else is_linear
             value = there[name]
             if isinstance(value, list):
-                there[name] = [_in_si(key, one, kinds, linear=linear) for one in value]
+                there[name] = tuple(_in_si(key, one, kinds, linear=linear) for one in value)
             else:
                 there[name] = _in_si(key, value, kinds, linear=linear)
         return found

@@ -11,6 +11,7 @@ from importlib import import_module
 import click
 
 from commissioning.child import shadow
+from commissioning.cli.helping import HelpfulGroup
 
 __all__ = ["main"]
 
@@ -45,7 +46,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
 _WITH_JUNIT = "identify", "apply", "verify", "commission", "tune", "analyze", "fleet"
 
 
-class _LazyGroup(click.Group):
+class _LazyGroup(HelpfulGroup):
     """Commands by name; the module is imported when the command is needed."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:

@@ -7,13 +7,14 @@ from pathlib import Path
 import click
 
 from commissioning.cli.acting import at_desk
+from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Screen
 
 __all__ = ["command"]
 
 
-@click.command("adopt")
+@click.command("adopt", cls=Helpful)
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
 @click.option(
     "--profile", metavar="P", help="Profile of its drive as you know it; default: the built-in one."

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from commissioning.cli.acting import at_desk, check_json, write_json
+from commissioning.cli.helping import Helpful
 from commissioning.cli.junit import junit_option
 from commissioning.cli.options import verbose
 from commissioning.cli.quantity import DURATION, POSITION, SHARE, TORQUE, Measure
@@ -17,7 +18,7 @@ from commissioning.result.readings import MethodName
 __all__ = ["command"]
 
 
-@click.command("analyze")
+@click.command("analyze", cls=Helpful)
 @click.argument("files", nargs=-1, required=True, metavar="FILE…", type=click.Path(path_type=Path))
 @click.option("--time", metavar="COL[:UNIT]", help="s, ms, us. Default: time_s.")
 @click.option(

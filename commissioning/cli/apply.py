@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from commissioning.cli.acting import act_on, at_desk, check_json, write_json
+from commissioning.cli.helping import Helpful
 from commissioning.cli.junit import junit_option
 from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Screen
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["command", "write"]
 
 
-@click.command("apply")
+@click.command("apply", cls=Helpful)
 @click.argument("run")
 @click.option("--link", help="Reach the drive by this LINK instead of the run's own.")
 @click.option(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from commissioning.cli.acting import act_on, at_desk, check_json, write_json
+from commissioning.cli.helping import Helpful
 from commissioning.cli.job import Job, job_options
 from commissioning.cli.junit import junit_option
 from commissioning.cli.terminal import Screen
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 
-@click.command("commission")
+@click.command("commission", cls=Helpful)
 @click.argument("target")
 @job_options
 @click.option("--ask-each", is_flag=True, help="Ask before each act, not once.")

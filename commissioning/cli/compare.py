@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text
 from commissioning.cli.terminal import Screen
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 
-@click.command("compare")
+@click.command("compare", cls=Helpful)
 @click.argument("first")
 @click.argument("second")
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from commissioning.cli.helping import Helpful
 from commissioning.cli.job import Job
 from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Screen
@@ -26,7 +27,7 @@ __all__ = ["command"]
 AXIS = "bench"
 
 
-@click.command("demo")
+@click.command("demo", cls=Helpful)
 @click.option("--clock", type=click.Choice(["step", "wall"]), default="step", show_default=True,
               help="Simulated time as fast as it goes, or real time.")  # fmt: skip
 @click.option("--fleet", is_flag=True, help="Eight axes on five buses, interrupted and resumed.")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text
 from commissioning.cli.terminal import Screen
@@ -21,7 +22,7 @@ __all__ = ["command"]
 _MARKS = {"ok": "ok      ", "note": "note    ", "warning": "warning ", "problem": "PROBLEM "}
 
 
-@click.command("doctor")
+@click.command("doctor", cls=Helpful)
 @click.argument("link", required=False)
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 @verbose

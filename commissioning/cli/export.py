@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.output import say
 from profiles.errors import UsageError
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 
-@click.command("export")
+@click.command("export", cls=Helpful)
 @click.argument("words", nargs=-1, required=True, metavar="RUN DIR")
 @click.option("--all", "everything", is_flag=True, help="All runs, each to a folder in DIR.")
 @verbose

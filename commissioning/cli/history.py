@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from commissioning.cli.acting import at_desk, check_json
+from commissioning.cli.helping import HelpfulGroup
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text, written
 from commissioning.cli.quantity import PER_CENT
@@ -29,7 +30,7 @@ _DAY = 86400.0  # s
 _MANY = 50  # runs: from here on indexing takes a while
 
 
-class _RunsOf(click.Group):
+class _RunsOf(HelpfulGroup):
     """A group whose own act takes an AXIS.
 
     A word that is no command of it is the axis of a list.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from commissioning.cli.acting import at_desk, check_json, write_json
+from commissioning.cli.helping import Helpful
 from commissioning.cli.job import Job, job_options
 from commissioning.cli.junit import junit_option
 from commissioning.cli.terminal import Screen
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["command", "measure"]
 
 
-@click.command("identify")
+@click.command("identify", cls=Helpful)
 @click.argument("target")
 @job_options
 @junit_option("identify")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from commissioning.cli.acting import at_desk
+from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text
 from commissioning.cli.quantity import POSITION, SPEED, TORQUE
@@ -23,7 +24,7 @@ _BARS, _WIDTH = 12, 40
 _LEAST_CYCLE = 1e-3  # s, of the experiment
 
 
-@click.command("latency")
+@click.command("latency", cls=Helpful)
 @click.argument("target", metavar="LINK")
 @click.option("--profile", metavar="P", help="Drive profile: a built-in name or a file.")
 @click.option("--count", type=click.IntRange(50, 100_000), default=500, show_default=True)

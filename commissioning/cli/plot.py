@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from commissioning.cli.helping import HelpfulGroup
 from commissioning.cli.options import verbose
 from commissioning.cli.output import say, written
 from commissioning.cli.quantity import POSITION, TORQUE
@@ -17,7 +18,7 @@ __all__ = ["command"]
 _FORMATS = (".svg", ".png", ".pdf")
 
 
-@click.group("plot")
+@click.group("plot", cls=HelpfulGroup)
 def command() -> None:
     """Pictures of a run."""
 

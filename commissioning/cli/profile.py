@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from commissioning.cli.helping import HelpfulGroup
 from commissioning.cli.output import document, json_text, say
 
 if TYPE_CHECKING:
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 
-@click.group("profile")
+@click.group("profile", cls=HelpfulGroup)
 def command() -> None:
     """List, show and check drive profiles."""
 

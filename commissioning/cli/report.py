@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, say, written
 from commissioning.cli.terminal import Screen
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["command", "say_report", "write_pdf", "write_report"]
 
 
-@click.command("report")
+@click.command("report", cls=Helpful)
 @click.argument("run")
 @click.option(
     "--output",

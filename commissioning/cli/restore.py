@@ -5,13 +5,14 @@ from __future__ import annotations
 import click
 
 from commissioning.cli.acting import act_on, at_desk
+from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Screen
 
 __all__ = ["command"]
 
 
-@click.command("restore")
+@click.command("restore", cls=Helpful)
 @click.argument("run", required=False)
 @click.option("--link", help="Reach the drive by this LINK instead of the run's own.")
 @click.option("--force", is_flag=True, help="Overwrite values that somebody changed since.")

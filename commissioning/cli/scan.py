@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text
 from commissioning.cli.quantity import Measure
@@ -14,7 +15,7 @@ from commissioning.cli.terminal import Screen
 __all__ = ["command"]
 
 
-@click.command("scan")
+@click.command("scan", cls=Helpful)
 @click.argument("link")
 @click.option("--units", default="1-247", show_default=True, metavar="A-B", help="Modbus units.")
 @click.option(

@@ -8,6 +8,7 @@ import os
 import click
 
 from commissioning.cli.acting import at_desk
+from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.targets import axis_from
 from commissioning.cli.terminal import Screen
@@ -15,7 +16,7 @@ from commissioning.cli.terminal import Screen
 __all__ = ["command"]
 
 
-@click.command("stop")
+@click.command("stop", cls=Helpful)
 @click.argument("target")
 @click.option("--profile", metavar="P", help="Drive profile: a built-in name or a file.")
 @verbose

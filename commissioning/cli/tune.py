@@ -7,6 +7,7 @@ from dataclasses import replace
 import click
 
 from commissioning.cli.acting import act_on, at_desk, check_json, write_json
+from commissioning.cli.helping import Helpful
 from commissioning.cli.job import Job, job_options
 from commissioning.cli.junit import junit_option
 from commissioning.cli.quantity import Measure
@@ -16,7 +17,7 @@ from commissioning.cli.terminal import Screen
 __all__ = ["command"]
 
 
-@click.command("tune")
+@click.command("tune", cls=Helpful)
 @click.argument("target", metavar="TARGET|RUN")
 @click.option(
     "--drive-dead-time", type=Measure("time", low=0, high=0.1), metavar="T",

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from commissioning.cli.acting import act_on, at_desk, check_json, write_json
+from commissioning.cli.helping import Helpful
 from commissioning.cli.job import CYCLE
 from commissioning.cli.junit import junit_option
 from commissioning.cli.options import verbose
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["command", "prove"]
 
 
-@click.command("verify")
+@click.command("verify", cls=Helpful)
 @click.argument("run")
 @click.option("--link", help="Reach the drive by this LINK instead of the run's own.")
 @click.option(
@@ -34,6 +36,10 @@ __all__ = ["command", "prove"]
 )
 @click.option("--cycle", type=CYCLE, metavar="T", help="Of the exchange: '4ms'.")
 @click.option("--without-watchdog", is_flag=True, help="As in identify.")
+@click.option(
+    "--check-only", is_flag=True,
+    help="Follow the path with what is in the drive now; write nothing for good.",
+)  # fmt: skip
 @click.option("--yes", is_flag=True, help="Confirm in advance.")
 @click.option(
     "--json", "json_target", metavar="F", help="Result as JSON to F, '-' for standard output."
@@ -47,6 +53,7 @@ def command(
     max_speed: float | None,
     cycle: float | None,
     without_watchdog: bool,
+    check_only: bool,
     yes: bool,
     json_target: str | None,
 ) -> None:
@@ -61,10 +68,37 @@ def command(
     check_json(json_target)
     screen = Screen(json_target, yes=yes)
     wishes = Wishes(travel, max_speed, cycle, without_watchdog)
+    if check_only:
+        _look_again(run, link, screen, json_target, wishes)
+        return
     result = prove(run, link, screen, json_target, wishes)
     write_json(result, json_target)
     show.in_the_drive(result, screen)
     show.ending(result, screen)
+
+
+def _look_again(
+    run: str, link: str | None, screen: Screen, json_target: str | None, wishes: Wishes
+) -> None:
+    """How the axis follows now, and how it did when it was proved."""
+    from commissioning.cli.output import document, json_text
+    from commissioning.result.words import now_against_then
+    from commissioning.session.verify import follow_as_it_is
+
+    with screen.watching("verify") as watcher, at_desk(screen, watcher=watcher) as desk:
+        found, result = follow_as_it_is(run, link, desk, wishes)
+    for line in now_against_then(found, result):
+        screen.say(line)
+    if json_target is not None:
+        tree = {
+            "run": result.run, "unit": result.units.position,
+            "reversal_error": found.reversal_error, "low_speed_error": found.low_speed_error,
+            "rest_swing": found.rest_swing, "hunts": found.hunts,
+        }  # fmt: skip
+        if json_target == "-":
+            document(json_text(tree))
+        else:
+            Path(json_target).write_text(json_text(tree), "utf-8")
 
 
 def prove(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
+from commissioning.cli.helping import HelpfulGroup
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text, say
 from profiles.errors import UsageError
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 
-@click.group("virtual")
+@click.group("virtual", cls=HelpfulGroup)
 def command() -> None:
     """Virtual drives: to learn on, to rehearse on, and for CI."""
 

@@ -140,8 +140,10 @@ def table_of_npy(path: Path, data: bytes) -> Table:
     """A .npy: a matrix, or fields by name; raises UsageError."""
     try:
         found = np.load(io.BytesIO(data), allow_pickle=False)
-    except (OSError, ValueError, EOFError, SyntaxError) as error:
+    except _UNREADABLE as error:
         raise UsageError(f"{path}: cannot be read as .npy ({error})") from None
+    if not isinstance(found, np.ndarray):
+        raise UsageError(f"{path}: cannot be read as .npy (is it a .npz?)")
     if found.dtype.names:
         return _gathered(path, ((name, found[name]) for name in found.dtype.names))
     return _gathered(path, (("", found),))

@@ -27,6 +27,7 @@ _SEPARATORS = (";", "\t", "|", ",", _SPACES)
 _STAMP = re.compile(
     r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d{1,2}:\d\d:\d\d)(?:[.,](\d{1,9}))?\s*(Z|[+-]\d\d:?\d\d)?"
 )
+_RULES = set("-=+_|: \t")  # of which the line below a header is drawn
 _NOTHING = ("", "-", "—", "nan", "NaN", "NAN")
 
 
@@ -207,7 +208,8 @@ class _Layout:
         above = [
             cells
             for line in lines[: self.first]
-            if len(cells := _cells(_uncommented(line, self.separator), self.separator))
+            if not set(line) <= _RULES
+            and len(cells := _cells(_uncommented(line, self.separator), self.separator))
             == self.width
         ][-2:]
         names = [str(n) for n in range(1, self.width + 1)]

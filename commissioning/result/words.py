@@ -13,7 +13,7 @@ from commissioning.result.endings import AxisState, CompensationState, DriveStat
 from commissioning.result.experiment import Experiment
 from commissioning.result.found import Quantity, Units
 from commissioning.result.language import digits, said
-from commissioning.result.worth import GainSet, Verification
+from commissioning.result.worth import GainSet, Trial, Verification
 
 __all__ = [
     "GAINS",
@@ -38,6 +38,7 @@ __all__ = [
     "iso",
     "measured",
     "nothing_proposed",
+    "now_against_then",
     "number",
     "percent",
     "remaining",
@@ -314,6 +315,28 @@ def helps(found: Verification) -> str:
             before=f"{found.steps[0].reversal_error:.3g}", after=f"{kept.reversal_error:.3g}",
         )
     )  # fmt: skip
+
+
+def now_against_then(now: Trial, result: RunResult) -> list[str]:
+    """How the axis follows with what is in the drive, and how it did at its proof."""
+    unit_of, proof = result.units.position, result.verification
+    lines = [
+        digits(
+            f"now: {now.reversal_error:.3g} {unit_of} after reversals, {now.low_speed_error:.3g} "
+            f"{unit_of} rms at low speed, ±{now.rest_swing:.2g} {unit_of} at rest"
+            + (": it hunts" if now.hunts else "")
+        )
+    ]
+    if proof is not None and proof.kept is not None:
+        then = proof.kept.reversal_error
+        change = percent(100 * (now.reversal_error / then - 1)) if then > 0 else "–"
+        lines.append(
+            digits(
+                f"at the proof of run {result.run}: {then:.3g} {unit_of} after reversals, {change} "
+                f"now; {proof.steps[0].reversal_error:.3g} {unit_of} without compensation"
+            )
+        )
+    return lines
 
 
 # -- how it ended ---------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from drivers.drive import Drive
 from profiles.axis import Axis
 
 __all__ = [
+    "AS_IT_IS",
     "AT_REST",
     "FIRST_MOTIONS",
     "POINTS",
@@ -36,6 +37,7 @@ __all__ = [
 AT_REST, FIRST_MOTIONS = "watchdog and rest", "first motions"
 STOP_PATH, POINTS = "proof of the stop path", "points"
 WRITING, STORING = "writing", "storing"
+AS_IT_IS = "as it is"
 
 # s, as they took on the virtual axes and on those of the recordings
 _AT_REST, _FIRST_MOTIONS, _STOP_PATH, _POINTS = 1.0, 2.5, 0.6, 8.0

@@ -23,6 +23,7 @@ from commissioning.result.words import remaining
 from commissioning.result.worth import Trial, Verification
 from commissioning.rig.armed import noted
 from commissioning.rig.expected import (
+    AS_IT_IS,
     SHARES,
     STORING,
     context_of,
@@ -37,6 +38,7 @@ from commissioning.rig.rig import Rig
 from commissioning.session.named import axis_of_run, own_run
 from commissioning.session.storing import all_writable, store
 from commissioning.settings import Settings
+from commissioning.watching import Stage
 from drivers.drive import Drive
 from drivers.errors import PreflightRefused
 from drivers.sample import Sample
@@ -45,7 +47,7 @@ from profiles.errors import Refused, TwoRelayError
 from profiles.procedures import Mode
 from profiles.schema import Profile
 
-__all__ = ["Wishes", "provable", "verify"]
+__all__ = ["Wishes", "follow_as_it_is", "provable", "verify"]
 
 _HARMFUL_RISE = 1.05  # of the error before, and
 _HARMFUL_COUNTS = 2.0  # counts more: from here on a step does harm
@@ -137,6 +139,45 @@ def verify(
     if useless is not None:
         raise useless
     return result
+
+
+def follow_as_it_is(
+    run: str, link: str | None, desk: Desk, wishes: Wishes
+) -> tuple[Trial, RunResult]:
+    """How the axis follows with what is in the drive now, and the run; nothing is stored."""
+    run_id, folder = own_run(desk.journal, run)
+    history = desk.journal.history(run_id)
+    record, result = history.run, folder.result(history)
+    _check(result, run_id, record.context.fraction)
+    axis = axis_of_run(record, folder, link)
+    options = _options(result, wishes, adopted=record.adopted)
+    coulomb, inertia = result.friction.coulomb, result.friction.inertia
+    assert coulomb is not None
+    with connect(axis, options.cycle, desk, f"run {run_id}") as drive:
+        _look(drive, axis, options, desk, record, writes=False)
+        settings = Settings(desk.journal, run_id, drive)
+        room = choose_limits(drive, axis, options)
+        with (
+            desk.finishing(),
+            guarded(drive, axis, folder.profile_path(), run_id, desk.journal.folder) as guardian,
+        ):
+            rig = Rig.of(axis, options, desk, drive, room, desk.record(), settings, guardian)
+            path = path_for(rig.context, coulomb.value, inertia.value if inertia else None)
+            desk.watcher.begins(setting_of(axis, drive, room), [Stage(AS_IT_IS, path.seconds)])
+
+            def followed() -> _Step:
+                desk.watcher.step(AS_IT_IS)
+                rig.mover.prove_watchdog(_rest(rig, result))
+                return _followed(rig, path, 0.0, {})
+
+            step = rig.mover.within_settings(followed)
+    return step.trial(kept=False), result
+
+
+def _rest(rig: Rig, result: RunResult) -> float:
+    """Torque that holds the axis at rest, N.m or N."""
+    offset = result.friction.offset
+    return offset.value if offset and rig.axis.mechanics.held_by != "friction" else 0.0
 
 
 def _proved(result: RunResult, drive: Drive, steps: list[_Step], kept: _Step | None) -> RunResult:
@@ -262,26 +303,35 @@ def provable(profile: Profile) -> None:
         )
 
 
-def _look(drive: Drive, axis: Axis, options: Options, desk: Desk, record: RunRecord) -> None:
+def _look(
+    drive: Drive,
+    axis: Axis,
+    options: Options,
+    desk: Desk,
+    record: RunRecord,
+    *,
+    writes: bool = True,
+) -> None:
     """Everything that is looked at before the axis may move."""
     identity = drive.identity()
     same_drive(identity, record.serial, record.id, drive.link, desk)
     none_unfinished(desk, identity.serial, drive.link)
     provable(drive.profile)
-    all_writable(drive, list(drive.compensation.terms.values()))
+    if writes:
+        all_writable(drive, list(drive.compensation.terms.values()))
     look(drive, axis)
     check_watchdog(drive, without=options.without_watchdog)
     limits = choose_limits(drive, axis, options)
     unit = axis.position_unit
     seconds = proving_seconds(context_of(axis, drive, limits), options, drive)
-    steps = of_proving(options.fraction, seconds)
+    whole = sum(stage.seconds for stage in of_proving(options.fraction, seconds))
     names = ", ".join(drive.compensation.written)
+    then = f"; WRITE its compensation ({names}), and STORE what helps" if writes else ""
     desk.agree(
         f"This will MOVE axis '{axis.name}' in position mode, slowly, {to_one_side(limits):.3g} "
         f"{unit} to one side of its present position and back, for about "
-        f"{remaining(sum(step.seconds for step in steps))}; WRITE its compensation ({names}), and "
-        "STORE what helps. tworelay is not a safety function: keep people clear and the emergency "
-        "stop in reach.",
+        f"{remaining(whole if writes else seconds)}{then}. tworelay is not a safety function: keep "
+        "people clear and the emergency stop in reach.",
         axis.name,
     )
     look(drive, axis)
@@ -368,8 +418,7 @@ def _raise(rig: Rig, result: RunResult) -> tuple[list[_Step], _Step | None]:
     """Without, then half, then more; the last step without harm stays."""
     desk, drive, found = rig.desk, rig.drive, result.friction
     assert found.coulomb is not None
-    offset = found.offset.value if found.offset else 0.0
-    rest = offset if rig.axis.mechanics.held_by != "friction" else 0.0
+    rest = _rest(rig, result)
     inertia = found.inertia.value if found.inertia else None
     path = path_for(rig.context, found.coulomb.value, inertia)
     new = {change.parameter: change.new_raw for change in result.compensation}

@@ -6,6 +6,8 @@ from importlib import import_module
 
 import click
 
+from commissioning.cli.helping import HelpfulGroup
+
 __all__ = ["command"]
 
 _COMMANDS = {
@@ -19,7 +21,7 @@ _COMMANDS = {
 }
 
 
-class _Lazy(click.Group):
+class _Lazy(HelpfulGroup):
     """Commands by name; the module is imported when the command is needed."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from commissioning.cli.acting import check_json
+from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, json_text
 from commissioning.cli.terminal import Screen
@@ -24,7 +25,7 @@ __all__ = ["command", "looked_at"]
 _NOT_ALL = 9
 
 
-@click.command("check")
+@click.command("check", cls=Helpful)
 @click.argument("fleet", type=click.Path(path_type=Path))
 @click.option("--job", type=click.Choice(["identify", "commission", "verify"]),
               help="Instead of the file's.")  # fmt: skip

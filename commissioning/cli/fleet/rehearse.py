@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import click
 
 from commissioning.cli.fleet.run import Outputs, check_outputs, conduct, run_options
+from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Screen
 from drivers.errors import LinkError
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["command", "served"]
 
 
-@click.command("rehearse")
+@click.command("rehearse", cls=Helpful)
 @click.argument("fleet", type=click.Path(path_type=Path))
 @run_options
 @verbose

@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from commissioning.cli.fleet.run import check_outputs, write_outputs
+from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.output import say
 from profiles.errors import UsageError
@@ -12,7 +13,7 @@ from profiles.errors import UsageError
 __all__ = ["command"]
 
 
-@click.command("report")
+@click.command("report", cls=Helpful)
 @click.argument("run", required=False, default="last", metavar="[ID]")
 @click.option("--junit", metavar="F", help="JUnit XML to F.")
 @click.option("--json", "json_target", metavar="F", help="tworelay.fleet/1 to F.")

@@ -7,6 +7,7 @@ import sys
 import click
 
 from commissioning.cli.acting import act_on, at_desk
+from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.output import say
 from commissioning.cli.terminal import Screen
@@ -17,7 +18,7 @@ __all__ = ["command"]
 _SOME = 9
 
 
-@click.command("restore")
+@click.command("restore", cls=Helpful)
 @click.argument("run", required=False, default="last", metavar="[ID]")
 @click.option("--axis", "axes", multiple=True, metavar="A", help="All that was written to A.")
 @click.option("--all", "everything", is_flag=True, help="All that was written to any axis.")

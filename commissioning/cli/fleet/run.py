@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, NoReturn
 import click
 
 from commissioning.cli.acting import check_json
+from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document, say
 from commissioning.cli.terminal import Screen
@@ -45,7 +46,7 @@ def run_options(command: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-@click.command("run")
+@click.command("run", cls=Helpful)
 @click.argument("fleet", type=click.Path(path_type=Path))
 @run_options
 @click.option("--resume", is_flag=False, flag_value="last", metavar="[ID]",

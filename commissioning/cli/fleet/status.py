@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document
 from commissioning.cli.terminal import Screen
@@ -11,7 +12,7 @@ from commissioning.cli.terminal import Screen
 __all__ = ["command"]
 
 
-@click.command("status")
+@click.command("status", cls=Helpful)
 @click.argument("run", required=False, default="last", metavar="[ID]")
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 @verbose

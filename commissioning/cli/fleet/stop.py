@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import click
 
+from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Screen
 
 __all__ = ["command"]
 
 
-@click.command("stop")
+@click.command("stop", cls=Helpful)
 @click.argument("run", required=False, metavar="[ID]")
 @click.option("--drain", is_flag=True, help="What moves is finished; nothing more starts.")
 @verbose

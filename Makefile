@@ -10,7 +10,7 @@ SEED ?=
 export OPENBLAS_NUM_THREADS := 1
 PART ?= 1/1
 
-.PHONY: demo demo-fleet test check coverage mutants mutants-afresh platforms bench accuracy fuzz faults faults-long habits kills machine-faults fleet-faults twins limits format lint types imports lock clean
+.PHONY: demo demo-fleet test check coverage mutants mutants-afresh platforms bench look accuracy fuzz faults faults-long habits kills machine-faults fleet-faults twins limits format lint types imports lock clean
 
 demo: $(STAMP)
 	$(BIN)/tworelay demo
@@ -58,6 +58,10 @@ platforms: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python benchmarks/run.py
+
+# the panel, the report at a desk, on a phone, in the dark and on paper: into look/, which is never committed
+look: $(STAMP)
+	$(BIN)/python benchmarks/look.py
 
 # 40 random axes of each of 36 classes, and what they are measured with elsewhere; goes on for nine minutes where it
 # ended, SEED: another draw; the last line is "accuracy: N of M axes"

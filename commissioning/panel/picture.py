@@ -13,7 +13,7 @@ __all__ = ["picture"]
 
 _NARROWEST, _LOWEST = 40, 12
 _NAME = 10  # characters before a bar
-_VALUE = 22  # characters after it
+_VALUE = 26  # characters after it
 _NEAR = 0.9  # of a limit
 _DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))  # of a braille character
 _LEAST = 12  # lines of all but the trace and what was said

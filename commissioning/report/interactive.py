@@ -129,6 +129,8 @@ def _legend_below(figure: Any) -> None:
     legend.background_fill_alpha = 0
     legend.border_line_alpha = 0
     legend.label_text_color = GREY
+    legend.inactive_fill_alpha = 0.3
+    legend.inactive_fill_color = GREY
 
 
 def _run(result: RunResult, samples: Samples) -> Any:
@@ -220,6 +222,7 @@ def _curve(result: RunResult) -> Any:
     return figure
 
 
+_LABELS = {"at_180": "−180°", "at_135": "−135°"}
 _MARKS = {"naive": "x", "hysteresis": "square", "corrected": "circle", "measured": "triangle",
           "at_180": "diamond", "at_135": "inverted_triangle"}  # fmt: skip
 
@@ -257,7 +260,7 @@ def _plant(result: RunResult) -> Any:
         look: dict[str, Any] = {"marker": _MARKS[name], "size": 9, "line_color": ORANGE}
         look["fill_alpha"] = 0
         x, y = one.gain * np.cos(angle), one.gain * np.sin(angle)
-        nyquist.scatter([x], [y], legend_label=said(name), **look)
+        nyquist.scatter([x], [y], legend_label=said(_LABELS.get(name, name)), **look)
         upper.scatter([at], [one.gain], **look)
         lower.scatter([at], [one.phase_deg], **look)
     rows = (

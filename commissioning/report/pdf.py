@@ -75,9 +75,9 @@ class _Paper(FPDF):
         self.set_text_color(*colour)
         self.multi_cell(0, size * 0.5, plain(text), align="L", new_x=XPos.LMARGIN, new_y=YPos.NEXT)
 
-    def heading(self, text: str) -> None:
-        """A heading that stays with what comes after it."""
-        if self.get_y() > self.h - 60:
+    def heading(self, text: str, room: float = 40) -> None:
+        """A heading that stays with the `room` mm that come after it."""
+        if self.get_y() + room > self.h - 2 * _MARGIN:
             self.add_page()
         self.ln(4)
         self.line_of(text, size=11.5, bold=True)
@@ -146,7 +146,7 @@ def _written(result: RunResult, samples: Samples | None, history: History, paper
     _in_the_drive(page, result)
     _proofs(page, result, samples)
     if samples is not None and len(samples) > 1:
-        page.heading(said("The whole run"))
+        page.heading(said("The whole run"), 90)
         page.picture(figures.overview(samples, result.units), 70)
         page.rows(
             [[f"{at:.2f} s", text] for at, text in figures.stages(samples)], (1, 9),

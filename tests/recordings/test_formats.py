@@ -5,11 +5,11 @@ J 0.02, B 0.05, C 0.3, offset 0.05 in SI, by an integration of its own.
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 import scipy.io
@@ -160,7 +160,8 @@ def saved_matrix(path: Path) -> None:
 
 
 def saved_v73(path: Path) -> None:
-    with h5py.File(path, "w", userblock_size=512) as file:
+    hdf5: Any = importlib.import_module("h5py")
+    with hdf5.File(path, "w", userblock_size=512) as file:
         for name, values in (("time_s", TIME), ("position_rad", POSITION), ("torque_Nm", TORQUE)):
             file[f"log/{name}"] = values.reshape(1, -1)
 

@@ -37,9 +37,9 @@ _BATCH, _BATCHES = 200, 21
 
 
 @contextmanager
-def served(*arguments: str) -> Iterator[str]:
-    """LINK to a `bench` that another process serves."""
-    command = [sys.executable, "-m", "commissioning", "virtual", "serve", "bench", *arguments]
+def served(*arguments: str, axis: str = "bench") -> Iterator[str]:
+    """LINK to an axis that another process serves."""
+    command = [sys.executable, "-m", "commissioning", "virtual", "serve", axis, *arguments]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=HERE.parent)
     assert server.stdout is not None
     try:

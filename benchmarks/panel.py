@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import math
 import os
 import pty
 import struct
 import subprocess
 import sys
 import termios
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -20,15 +22,19 @@ from benchmarks.links import WIRES, served
 from commissioning.desk import Desk, Options
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
+from commissioning.panel.course import Course
 from commissioning.panel.feed import Panel
 from commissioning.processes import start
 from commissioning.rig.armed import Failure
+from commissioning.session.commission import prove_and_store
 from commissioning.session.identify import identify
-from commissioning.watching import Watcher
+from commissioning.watching import Setting, Stage, Watcher
 from drivers.link import axis_of
+from profiles.errors import TwoRelayError
 
 __all__ = ["panel"]
 
+AXES = {"bench": 3.14, "ur10e": 2.0, "hsm150": 12.5}  # and the travel that it is allowed
 _PAIRS, _CYCLE, _TRAVEL = 6, 0.004, 3.14
 _READER = "import os\nwhile os.read(0, 65536): pass"
 
@@ -63,6 +69,59 @@ def lateness(link: str, watcher: Watcher) -> np.ndarray:
         return np.array([sample.lateness for sample in desk.recorder.samples])
 
 
+class Noting(Watcher):
+    """Notes what was left at each step, and when that was."""
+
+    def __init__(self) -> None:
+        self.course = Course()
+        self.noted: list[tuple[str, float, float]] = []
+
+    def begins(self, setting: Setting, steps: Sequence[Stage]) -> None:
+        self.course.add(steps)
+
+    def step(self, name: str) -> None:
+        now = time.monotonic()
+        self.course.step(name, now)
+        self.noted.append((name, self.course.left(now) or 0.0, now))
+
+    def lasts(self, seconds: float) -> None:
+        self.course.lasts(seconds, time.monotonic())
+
+    def expects(self, steps: Sequence[Stage]) -> None:
+        self.course.add(steps)
+
+
+def time_left() -> list[str]:
+    """What was said to be left of a whole job, at its beginning and at its proof, and what was."""
+    lines = [
+        "",
+        "Time that was said to be left of `commission` in real time, and what it took:",
+        "",
+        "| axis | at the beginning | took | at the proof | took |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for axis, travel in AXES.items():
+        watcher = Noting()
+        with (
+            served(*WIRES["Modbus TCP"], "--clock", "wall", axis=axis) as link,
+            Journal(Path(os.environ["TWORELAY_HOME"])) as journal,
+            Interruption() as interruption,
+        ):
+            quiet = lambda text: None  # noqa: E731
+            desk = Desk(journal, interruption, quiet, lambda q, w: True, watcher=watcher)
+            end = math.nan
+            with contextlib.suppress(Failure, TwoRelayError):
+                result = identify(axis_of(link), Options(travel=travel, writes=True), desk)
+                prove_and_store(str(result.run), desk, lambda changes: None, without_watchdog=False)
+                end = time.monotonic()
+        first = watcher.noted[0]
+        proof = next((n for n in watcher.noted if n[0].startswith("proof w")), None)
+        cells = [f"{first[1]:.0f} s", f"{end - first[2]:.0f} s"]
+        cells += ["–", "–"] if proof is None else [f"{proof[1]:.0f} s", f"{end - proof[2]:.0f} s"]
+        lines.append(f"| {axis} | {' | '.join(cells)} |")
+    return lines
+
+
 def panel() -> list[str]:
     """The table."""
     found: dict[str, list[np.ndarray]] = {"without": [], "with": []}
@@ -89,4 +148,4 @@ def panel() -> list[str]:
             f"| {name} | {len(every)} | {np.median(every):.3f} | {np.quantile(every, 0.99):.2f} | "
             f"{min(each):.2f} … {max(each):.2f} | {100 * np.mean(every > 500 * _CYCLE):.2f} % |"
         )
-    return lines
+    return lines + time_left()

@@ -178,8 +178,7 @@ def test_a_clause_that_the_drivers_leave_out_is_noticed(
 
 # words about the drive, and what makes no difference to what is said to it
 WORDS = {
-    "faults",
-    "Profile.name", "Profile.version", "Profile.title", "Profile.status", "Profile.sources",
+    "Profile.faults", "Profile.name", "Profile.version", "Profile.title", "Profile.status", "Profile.sources",
     "Compensation.note", "Parameter.title", "Parameter.source", "Parameter.nonvolatile",
     "Parameter.trust",
 }  # fmt: skip

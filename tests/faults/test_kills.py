@@ -13,12 +13,12 @@ from tests.command import ROOT
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
 
-def test_one_step_in_seventy() -> None:
+def test_some_steps() -> None:
     """`make kills` tries every one; the jobs fork, so they want a process without threads."""
     done = subprocess.run(
-        [sys.executable, "-m", "tests.faults.kills", "70"],
+        [sys.executable, "-m", "tests.faults.kills", "140"],
         cwd=ROOT, capture_output=True, text=True, check=False, timeout=150,
     )  # fmt: skip
     last = done.stdout.splitlines()[-1]
     cases, held = (int(word) for word in last.split() if word.isdigit())
-    assert cases == held > 30, done.stdout + done.stderr
+    assert cases == held > 15, done.stdout + done.stderr

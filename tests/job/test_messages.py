@@ -89,7 +89,7 @@ def test_a_job_that_tworelay_stop_ends_says_so(serve: Serve, tworelay: Tworelay)
     job = subprocess.Popen(
         [sys.executable, "-m", "commissioning", "identify", link, "--travel", "20", "--cycle",
         "0.01",
-         "--yes"],
+         "--yes", "-v"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert job.stdout is not None

@@ -91,6 +91,10 @@ class Noting(Watcher):
         self.course.add(steps)
 
 
+def _took(seconds: float) -> str:
+    return "ended early" if math.isnan(seconds) else f"{seconds:.0f} s"
+
+
 def time_left() -> list[str]:
     """What was said to be left of a whole job, at its beginning and at its proof, and what was."""
     lines = [
@@ -116,8 +120,8 @@ def time_left() -> list[str]:
                 end = time.monotonic()
         first = watcher.noted[0]
         proof = next((n for n in watcher.noted if n[0].startswith("proof w")), None)
-        cells = [f"{first[1]:.0f} s", f"{end - first[2]:.0f} s"]
-        cells += ["–", "–"] if proof is None else [f"{proof[1]:.0f} s", f"{end - proof[2]:.0f} s"]
+        cells = [f"{first[1]:.0f} s", _took(end - first[2])]
+        cells += ["–", "–"] if proof is None else [f"{proof[1]:.0f} s", _took(end - proof[2])]
         lines.append(f"| {axis} | {' | '.join(cells)} |")
     return lines
 

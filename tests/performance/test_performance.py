@@ -178,9 +178,9 @@ def test_a_clause_that_the_drivers_leave_out_is_noticed(
 
 # words about the drive, and what makes no difference to what is said to it
 WORDS = {
-    "Profile.faults", "Profile.name", "Profile.version", "Profile.title", "Profile.status", "Profile.sources",
-    "Compensation.note", "Parameter.title", "Parameter.source", "Parameter.nonvolatile",
-    "Parameter.trust",
+    "Profile.faults", "Profile.name", "Profile.version", "Profile.title",
+    "Profile.status", "Profile.sources", "Compensation.note", "Parameter.title",
+    "Parameter.source", "Parameter.nonvolatile", "Parameter.trust",
 }  # fmt: skip
 # for this computer, or for its mathematics: nothing of it is said to a drive; what shows it instead
 ELSEWHERE = {

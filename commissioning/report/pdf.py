@@ -7,6 +7,7 @@ screen's report has in its theory stays there.
 from __future__ import annotations
 
 import io
+import logging
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -127,6 +128,7 @@ def pdf_of(
 ) -> bytes:
     """The report as PDF; raises UsageError where its numbers make none."""
     result = printable(result)
+    logging.getLogger("fpdf").setLevel(logging.ERROR)  # a letter that no font has is a box
     try:
         errors = np.errstate(divide="raise", invalid="raise", over="raise")
         with errors, quiet(), speaking(language):

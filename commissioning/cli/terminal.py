@@ -40,6 +40,7 @@ class Screen:
         self.agreed: str | None = None
         self._progress: Any = None
         self._panel: Panel | None = None
+        self._told: set[str] = set()
         self._held: list[tuple[str, str | None]] = []  # said while the panel is drawn
 
     def say(self, text: str = "", style: str | None = None) -> None:
@@ -57,8 +58,9 @@ class Screen:
             self._progress.console.print(plain(text), highlight=False, markup=False, soft_wrap=True)
 
     def tell(self, text: str) -> None:
-        """One line of what happens; not where the result alone is asked for."""
-        if not is_quiet():
+        """One line of what happens, once; not where the result alone is asked for."""
+        if not is_quiet() and text not in self._told:
+            self._told.add(text)
             self.say(text)
 
     def console(self) -> Any:

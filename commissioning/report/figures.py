@@ -62,6 +62,7 @@ STYLE: Any = {
 }
 _SHOWN_PERIODS = 3
 _MOST_POINTS = 4000
+_APART = 0.025  # of the picture: numbers of phases
 
 
 def overview(samples: Samples, units: Units) -> Figure:
@@ -76,7 +77,8 @@ def overview(samples: Samples, units: Units) -> Figure:
         bottom.plot(time, command, color=ORANGE, lw=0.5)
         bottom.set_ylabel(f"{said('torque')}, {unit(units.effort)}")
         bottom.set_xlabel(said("time in s"))
-        number = 0
+        number, last = 0, -np.inf
+        apart = _APART * (samples.time[-1] - samples.time[0])
         for phase in samples.phases:
             if phase.at >= len(samples) or phase.kind != "step":
                 continue
@@ -84,6 +86,9 @@ def overview(samples: Samples, units: Units) -> Figure:
             at = samples.time[phase.at]
             for axes in (top, bottom):
                 axes.axvline(at, color=GREY, lw=0.6, ls=":")
+            if at - last < apart:
+                continue
+            last = at
             top.annotate(
                 str(number), (at, 1.0), xycoords=("data", "axes fraction"), fontsize=8,
                 xytext=(2, -2), textcoords="offset points", va="top", color=GREY,

@@ -17,7 +17,9 @@ from commissioning.session.storing import store
 from commissioning.settings import Restored, Return, Settings, planned, put_back, settle
 from drivers.drive import Drive
 from drivers.errors import DriveEnabled, LinkError, WriteFailed
+from drivers.places import same_place
 from profiles.errors import Refused, TwoRelayError, UsageError
+from profiles.identity import NO_SERIAL
 
 __all__ = ["leave_as_found", "restore", "to_restore"]
 
@@ -110,7 +112,9 @@ def restore(
 def _none_later(journal: Journal, record: RunRecord, intents: list[Intent]) -> None:
     """Raise Refused where a later run of the same drive has written over what would be put back."""
     names = {intent.parameter for intent in intents if intent.lasts}
-    runs = [one.id for one in journal.on_drive(record.serial)] if record.serial else []
+    is_told = record.serial not in NO_SERIAL  # else it is the drive on that link
+    every = journal.on_drive(record.serial)
+    runs = [one.id for one in every if is_told or same_place(one.link, record.link)]
     for later in reversed(runs[runs.index(record.id) + 1 :] if record.id in runs else []):
         over = {i.parameter for i in journal.intents(later, open_only=True) if i.lasts} & names
         if over:

@@ -133,7 +133,8 @@ class Axis(Strict):
             there = found.get(section) if section else found
             if not isinstance(there, dict) or name not in there:
                 continue
-            linear = None if key in _OF_THE_MOTOR else is_linear
+            of_motor = None if is_linear else False  # a linear motor has newtons
+            linear = of_motor if key in _OF_THE_MOTOR else is_linear
             value = there[name]
             if isinstance(value, list):
                 there[name] = tuple(_in_si(key, one, kinds, linear=linear) for one in value)

@@ -70,6 +70,7 @@ def _many() -> dict[str, UnitOfUse]:
     put("cm", "position", 1e-2, linear=True)
     put("mm", "position", 1e-3, linear=True)
     put("um µm μm", "position", 1e-6, linear=True)
+    put("nm", "position", 1e-9, linear=True)
     put("inch in", "position", 0.0254, linear=True)
     put(
         "counts count cnt cnts inc incs increments incr Inkr ink pulses pul",

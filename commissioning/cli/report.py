@@ -50,7 +50,7 @@ def command(
         return
     _check_endings(output, pdf_target)
     if pdf_target is not None:
-        say(str(write_pdf(run, pdf_target, language, paper)))
+        say(str(write_pdf(run, pdf_target, language, paper)), err=output == "-")
     if output == "-":
         document(_html(run, language)[2])
     elif output is not None or pdf_target is None:
@@ -60,7 +60,10 @@ def command(
 def _check_endings(output: str | None, pdf_target: str | None) -> None:
     """Raise UsageError for an ending that is not ours."""
     for option, target, ending in (("--output", output, ".html"), ("--pdf", pdf_target, ".pdf")):
-        if target not in (None, "-") and not str(target).lower().endswith((ending, ending[:-1])):
+        endings = (".html", ".htm") if ending == ".html" else (".pdf",)
+        if option == "--pdf" and target == "-":
+            raise UsageError("--pdf -: a PDF is no text for a terminal; name a file")
+        if target not in (None, "-") and not str(target).lower().endswith(endings):
             raise UsageError(f"{option} {target}: ends with {ending} or .pdf, as the file is one")
 
 

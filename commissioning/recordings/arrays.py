@@ -28,8 +28,8 @@ _MOST_SETS = 200  # of an HDF5 file
 _DEEPEST = 4  # structs within structs
 _INFLATED = 24_000_000  # bytes of a struct's own: as many as 200 MB of numbers come from
 _UNREADABLE = (
-    OSError, ValueError, EOFError, KeyError, SyntaxError, NotImplementedError, zipfile.BadZipFile,
-    zlib.error,
+    OSError, MemoryError, ValueError, EOFError, KeyError, SyntaxError, NotImplementedError,
+    zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _HDF5_AT = (0, 512)
@@ -109,7 +109,8 @@ def _of_hdf5(path: Path, data: bytes) -> Iterator[tuple[str, Any]]:
         is_elsewhere = item.is_virtual or item.external
         if is_elsewhere or item.dtype.kind not in "fiu" or item.size is None:
             return
-        if item.size <= MOST_CELLS and len(names) < _MOST_SETS:
+        taken = sum(value.size for _, value in names)
+        if taken + item.size <= MOST_CELLS and len(names) < _MOST_SETS:
             names.append((name.replace("/", "."), np.asarray(item[()]).T))
 
     try:

@@ -272,8 +272,9 @@ def _by_base(
             f"{table.path}: column '{name}' is in {unit.name}: what they are is not said; "
             f"{example} ({what}), or --{quantity} '{name}:{example.split()[1]} {unit.name}'"
         )
-    if unit.base != "encoder":
-        return float(base), None
+    if unit.base != "encoder":  # at the motor: by the feed it is a force
+        effort = 1.0 if bases.feed is None else 2 * math.pi / bases.feed
+        return float(base) * effort, None
     turn = 2 * math.pi if bases.feed is None else bases.feed
     return turn / float(base), bases.feed is not None
 

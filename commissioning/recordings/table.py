@@ -21,6 +21,7 @@ LARGEST = 300_000_000  # bytes
 MOST_ROWS = 2_000_000
 MOST_CELLS = 10_000_000
 
+_LETTERS = {"U", "r", "in", "min", "C"}  # that end names which mean no unit
 _BRACKETS = re.compile(r"^(.*?)[\s_]*[\[(<]\s*([^\])>]+?)\s*[\])>]$")
 
 
@@ -76,7 +77,7 @@ def unit_in(name: str) -> str:
         return brackets[2]
     for sign in ("_", " in ", " ", "/"):
         head, found, unit = name.rpartition(sign)
-        if found and head and unit_named(unit):
+        if found and head and unit not in _LETTERS and unit_named(unit):
             return unit
     return ""
 

@@ -19,6 +19,7 @@ __all__ = ["table_of_text"]
 
 _SEARCHED = 200  # lines for the first row of numbers
 _BLOCK = 3  # rows that look alike are numbers
+_EMPTY = 3  # columns at the end that have a name and nothing else, at most
 _FOOT = 20  # lines after the numbers that may be something else
 _MOSTLY = 0.4  # of the bytes of a text in UTF-16 are zero
 _COMMENTS = "#%!/;*'\""
@@ -91,8 +92,7 @@ class _Layout:
                 found.append(layout)
         if not found:
             raise UsageError(_no_numbers(path, lines))
-        most = max(len(one.kept) for one in found)
-        return next(one for one in found if len(one.kept) == most)
+        return max(found, key=lambda one: (len(one.kept), len(one.kept) == one.width))
 
     @classmethod
     def _by(cls, separator: str, lines: list[str]) -> _Layout | None:
@@ -193,6 +193,13 @@ class _Layout:
         else:
             to_number = float
         cells = [row[n] for row in rows]
+        if self.has_comma and n not in self.stamped:
+            grouped = next((k for k, cell in enumerate(cells) if "." in cell), None)
+            if grouped is not None:
+                raise UsageError(
+                    f"{path}: column '{name}': '{cells[grouped][:40]}' has a point, and others "
+                    "have decimal commas: is it a group of thousands? Export it without"
+                )
         try:
             values = np.array([to_number(cell) for cell in cells], float)
         except ValueError:  # what is not there
@@ -205,13 +212,13 @@ class _Layout:
 
     def _header(self, lines: list[str]) -> tuple[list[str], dict[str, str]]:
         """Names of the columns, by number where there are none, and units."""
-        above = [
-            cells
+        rows = [
+            _cells(_uncommented(line, self.separator), self.separator)
             for line in lines[: self.first]
             if not set(line) <= _RULES
-            and len(cells := _cells(_uncommented(line, self.separator), self.separator))
-            == self.width
-        ][-2:]
+        ]
+        # a header may name columns that are empty
+        above = [row[: self.width] for row in rows if 0 <= len(row) - self.width <= _EMPTY][-2:]
         names = [str(n) for n in range(1, self.width + 1)]
         row_of_units: list[str] = []
         if above and self._is_units(above[-1]) and (len(above) == 2 or self._only_units(above[-1])):

@@ -122,7 +122,8 @@ def _none_later(journal: Journal, record: RunRecord, intents: list[Intent]) -> N
                 f"run {later} wrote {', '.join(sorted(over))} later, on the same drive: nothing "
                 "was written back",
                 code="restore.later-run",
-                hint=f"'tworelay restore {later}' first, or --force",
+                hint=f"'tworelay restore {later}' first; after --force do not restore {later}: it "
+                "would put this run's values back",
                 run=later,
             )
 

@@ -20,7 +20,7 @@ QUICK = ("--travel", "3", "--yes")
 
 def commands(group: click.Group, path: str = "") -> dict[str, click.Command]:
     found: dict[str, click.Command] = {path: group}
-    with click.Context(group) as context:
+    with click.Context(group, help_option_names=["-h", "--help"]) as context:
         for name in group.list_commands(context):
             command = group.get_command(context, name)
             assert command is not None
@@ -41,7 +41,7 @@ def test_every_command_has_examples_that_it_takes() -> None:
                 way, rest = f"{way} {rest[0]}".strip(), rest[1:]
             command = every[way]
             if "--help" not in rest:
-                command.make_context(way, rest, resilient_parsing=False)
+                command.make_context(way, rest, help_option_names=["-h", "--help"])
             assert way.startswith(path), (path, line)
 
 

@@ -48,7 +48,9 @@ def test_what_is_no_quantity(text: str) -> None:
 def test_milli_is_not_mega() -> None:
     assert unit_named("MNm") is None
     assert unit_named("Ms") is None
-    assert unit_named("NM") is not None
+    assert unit_named("NM") is None, "nanometres, or newton metres"
+    assert unit_named("MM/S") is None
+    assert unit_named("RPM") is not None
 
 
 @pytest.mark.parametrize(

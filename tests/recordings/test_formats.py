@@ -76,6 +76,9 @@ TEXTS: dict[str, tuple[list[str], str]] = {
     "a name twice": ([f"{HEAD},spare,spare", *(f"{line},0,0" for line in lines())], "utf-8"),
     "dates": (["stamp,position_rad,torque_Nm", *stamped("2026-11-26")], "utf-8"),
     "times of day past midnight": (["stamp,position_rad,torque_Nm", *stamped("")], "utf-8"),
+    "a column that is named and empty": (
+        ["time_s;position_rad;torque_Nm;event", *(f"{line};" for line in lines(";"))], "utf-8"
+    ),
     "a footer": ([HEAD, *lines(), "", "Mean;0.1", "end of data"], "utf-8"),
     "a short last row": ([HEAD, *lines(), "0.8,0.1"], "utf-8"),
 }  # fmt: skip
@@ -233,3 +236,34 @@ def test_nothing_of_a_pickle_is_executed(tmp_path: Path) -> None:
     np.savez(path, x=evil)
     with raises(UsageError, "usage"):
         table_of(path)
+
+
+def test_groups_of_thousands_are_not_taken_for_decimals(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    body = [f"{n},5;{'1.234' if n == 90 else n};{n % 2},5" for n in range(100)]
+    path.write_text("\n".join(["t_ms;pos_inc;M_Nm", *body]))
+    with raises(UsageError, "usage") as caught:
+        table_of(path)
+    assert "'1.234' has a point, and others have decimal commas" in str(caught.value)
+
+
+def test_a_header_that_promises_too_much_is_refused(tmp_path: Path) -> None:
+    path, header = (
+        tmp_path / "x.npy",
+        b"{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999, 3), }",
+    )
+    padded = header.ljust(117) + b"\n"
+    path.write_bytes(b"\x93NUMPY\x01\x00" + len(padded).to_bytes(2, "little") + padded)
+    with raises(UsageError, "usage"):
+        table_of(path)
+
+
+def test_a_torque_at_the_motor_is_a_force_by_the_feed(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    body = [
+        f"{t:.4f};{q:.6f};{u:.4f}" for t, q, u in zip(TIME, 1000 * POSITION, TORQUE, strict=True)
+    ]
+    path.write_text("\n".join(["t_s;pos_inc;I_A", *body]))
+    found = found_in(path, Scales(encoder=4096, feed=0.01, torque_constant=0.12))
+    assert found.linear
+    assert np.allclose(found.torque, TORQUE * 0.12 * 2 * np.pi / 0.01, rtol=1e-3)

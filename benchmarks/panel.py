@@ -87,9 +87,6 @@ class Noting(Watcher):
     def lasts(self, seconds: float) -> None:
         self.course.lasts(seconds, time.monotonic())
 
-    def expects(self, steps: Sequence[Stage]) -> None:
-        self.course.add(steps)
-
 
 def _took(seconds: float) -> str:
     return "ended early" if math.isnan(seconds) else f"{seconds:.0f} s"

@@ -57,9 +57,6 @@ class Watcher:
     def lasts(self, seconds: float) -> None:
         """The present step still takes as long."""
 
-    def expects(self, steps: Sequence[Stage]) -> None:
-        """Steps that are still to come take longer, or shorter, than was thought."""
-
     def phase(self, text: str) -> None:
         """What happens within the step."""
 

@@ -95,10 +95,6 @@ class Panel(Watcher):
         """The present step still takes as long."""
         self._course.lasts(seconds, self._clock())
 
-    def expects(self, steps: Sequence[Stage]) -> None:
-        """What is still to come takes as long."""
-        self._course.add(steps)
-
     def phase(self, text: str) -> None:
         """One line more."""
         self._said = [*self._said, plain(text)[:_LONGEST]][-_LINES:]

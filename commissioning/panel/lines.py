@@ -49,10 +49,6 @@ class Lines(Watcher):
         """The present step still takes as long."""
         self._course.lasts(seconds, self._clock())
 
-    def expects(self, steps: Sequence[Stage]) -> None:
-        """What is still to come takes as long."""
-        self._course.add(steps)
-
     def phase(self, text: str) -> None:
         """One line, where that is asked for."""
         if self._detailed:

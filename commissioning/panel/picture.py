@@ -16,7 +16,6 @@ _NAME = 10  # characters before a bar
 _VALUE = 26  # characters after it
 _NEAR = 0.9  # of a limit
 _DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))  # of a braille character
-_LEAST = 12  # lines of all but the trace and what was said
 
 
 def picture(
@@ -43,8 +42,8 @@ def picture(
         _bar("torque", state.get("torque"), state["torque_limit"], e, width, signs),
         _bar("speed", state.get("speed"), state["speed_limit"], f"{p}/s", width, signs),
         Text(""),
-        *_friction(state, e, width),
-        _late(state, width),
+        _friction(state, e),
+        _late(state),
     ]
     said = [Text(line[: width - 3], style="dim") for line in state.get("said", ())]
     foot = Text("Ctrl-C stops the axis", style="bold")
@@ -119,11 +118,11 @@ def _unit(name: str) -> str:
     return name.replace(".", "·")
 
 
-def _friction(state: Mapping[str, Any], effort: str, width: int) -> list[Text]:
+def _friction(state: Mapping[str, Any], effort: str) -> Text:
     """What is known of it, and how its interval has narrowed."""
     known = state.get("friction") or ()
     if not known:
-        return [Text(f"{'friction':<{_NAME}}not known yet")]
+        return Text(f"{'friction':<{_NAME}}not known yet")
     value, low, high = known[-1]
     text = Text(f"{'friction':<{_NAME}}")
     text.append(f"{value:.4g} {_unit(effort)}", style="bold")
@@ -132,7 +131,7 @@ def _friction(state: Mapping[str, Any], effort: str, width: int) -> list[Text]:
     narrowing = [_half(one) for one in known]
     if len(narrowing) > 1:
         text.append("   " + " > ".join(narrowing), style="dim")
-    return [text]
+    return text
 
 
 def _half(known: Sequence[float | None]) -> str:
@@ -143,7 +142,7 @@ def _half(known: Sequence[float | None]) -> str:
     return f"±{50 * (high - low) / abs(value):.2g} %"
 
 
-def _late(state: Mapping[str, Any], width: int) -> Text:
+def _late(state: Mapping[str, Any]) -> Text:
     late, lost, cycles = (state.get(name, 0) for name in ("late", "lost", "cycles"))
     share = f" ({100 * (late + lost) / cycles:.2g} %)" if late + lost else ""
     text = Text(f"{'cycles':<{_NAME}}{cycles}, of them ")

@@ -154,8 +154,10 @@ class RunFolder:
             raise UsageError(f"{path}: is a link, and none is followed here")
         return path
 
-    def export(self, journal: Journal, run: str, target: Path) -> list[Path]:
-        """Copy the run to `target` with its journal, samples as CSV, changes as DCF.
+    def export(
+        self, journal: Journal, run: str, target: Path, *, tables: bool = True
+    ) -> list[Path]:
+        """Copy the run to `target` with its journal; `tables`: samples as CSV, changes as DCF.
 
         Return the files.
         """
@@ -168,7 +170,7 @@ class RunFolder:
                 if path.exists() or path.is_symlink():
                     replace(target / name, contents(path, LARGEST, links=False))
             replace(target / "journal.json", json.dumps(history_tree(history), indent=1).encode())
-            samples = self.samples()
+            samples = self.samples() if tables else None
             if samples is not None and len(samples):
                 watched = result.experiment
                 analysed = watched.analysed if watched else ()
@@ -181,7 +183,7 @@ class RunFolder:
                     write_csv(
                         target / "oscillations.csv", samples, result.units, (begin, end), analysed
                     )
-            changes = self._dcf(history)
+            changes = self._dcf(history) if tables else ""
             if changes:
                 replace(target / "changes.dcf", changes.encode())
         except OSError as error:

@@ -237,7 +237,7 @@ def _serve_fleet(
     """Twins of all axes of a fleet file, on wires like those of the file; a LINK a line."""
     import tempfile
 
-    from commissioning.fleet.plan import load_fleet
+    from commissioning.fleet.loading import load_fleet
     from commissioning.fleet.twins import twins_of
     from drivers.virtual.serve import serve
 

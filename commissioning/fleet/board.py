@@ -134,10 +134,28 @@ class Board:
             one.began, one.moving_at, one.late = time.time(), 0.0, 0.0
         return granted
 
-    def revoke(self, one: Standing, why: str) -> None:
-        """Take a grant back; where it was started, the ledger knows how it stands."""
+    def hand_over(self, one: Standing) -> bool:
+        """Leave it to its gateway whether it is started; False: it must not be sent there."""
+        assert one.planned.gateway is not None
         try:
-            if not self._ledger.revoke(self.run, one.name, one.attempt, why):
+            if self._ledger.hand_over(self.run, one.name, one.attempt, one.planned.gateway):
+                return True
+            self._learn(one, "it was not to be handed over")
+        except JournalError as error:
+            self.failure = self.failure or error
+            self.revoke(one, "it was not handed over")
+        return False
+
+    def revoke(self, one: Standing, why: str) -> None:
+        """Take a grant back; where it was started, the ledger knows how it stands.
+
+        What was handed to a gateway is taken back only when that has said that it did not start it.
+        """
+        of_it = self.run, one.name, one.attempt
+        try:
+            if one.planned.gateway is not None:
+                self._ledger.learn(*of_it, JobState.REVOKED, None, why)
+            elif not self._ledger.revoke(*of_it, why):
                 self._learn(one, why, dead=True)
                 return
         except JournalError as error:
@@ -207,7 +225,7 @@ def _standing(planned: PlannedAxis, row: LedgerRow) -> Standing:
 def _shown(one: Standing) -> FleetAxis:
     planned, outcome = one.planned, one.outcome
     return FleetAxis(
-        one.name, one.state, one.attempt, planned.link, planned.group, planned.zone, one.serial,
+        one.name, one.state, one.attempt, planned.where, planned.group, planned.zone, one.serial,
         one.step, one.steps, one.doing if one.state in _ACTIVE else "", one.why,
         None if one.began is None else one.confirmed,
         iso(one.began), iso(one.ended), outcome,

@@ -141,8 +141,9 @@ class Conductor:
             if not self._running() and self._is_over():
                 return
             heard = self._crew.hear(_WAIT)
-            if heard is not None:
+            while heard is not None:  # all that is there, before anything is decided
                 self._hear(*heard)
+                heard = self._crew.hear(0.0)
             self._show()
 
     def result(self) -> FleetResult:
@@ -224,9 +225,13 @@ class Conductor:
             {one.name for one in self.board.of(JobState.DONE)},
             self._rules,
             paused=self._zones.paused,
-            late=any(one.late > _LATE for one in self._running()),
+            late=self._late(),
         )
         return [self.board[task.name] for task in tasks]
+
+    def _late(self) -> set[str]:
+        """Computers whose cycles come late."""
+        return {one.planned.gateway or "" for one in self._running() if one.late > _LATE}
 
     def _is_over(self) -> bool:
         """Whether nothing can start any more."""
@@ -342,7 +347,7 @@ class Conductor:
         self._shown = self._clock()
         tasks = [self._task(one) for one in self._running()]
         done = {one.name for one in self.board.of(JobState.DONE)}
-        late = any(one.late > _LATE for one in self._running())
+        late = self._late()
         for one in self._waiting():
             what = obstacle(self._task(one), tasks, done, paused=self._zones.paused, late=late)
             unconfirmed = "" if one.confirmed_until else "to be confirmed"
@@ -365,7 +370,9 @@ class Conductor:
         assert one.looked is not None
         order = order_of(self.fleet, one.planned, "job", self.board.run, one.attempt)
         options = replace(order.options, serial=one.looked.serial)
-        order = replace(order, room=one.looked.room, options=options)
+        order = replace(order, room=one.looked.room, options=options, confirmed=one.confirmed)
+        if one.planned.gateway is not None and not self.board.hand_over(one):
+            return
         self._crew.order(order, anew=not one.planned.is_stepping)
 
     def _expect(self, *, only_running: bool = False) -> None:
@@ -392,6 +399,8 @@ class Conductor:
             one.step, one.steps, one.doing = report.step, report.steps, report.text
         elif report.kind == "tell":
             one.doing = report.text
+        elif report.kind == "alarm":
+            self._people.tell(f"'{name}': {report.text}")
         elif report.kind == "pulse":
             one.late = report.late
             one.moving_at = self._clock() if report.moving else one.moving_at

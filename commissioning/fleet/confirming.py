@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 from commissioning.fleet.plan import Fleet, PlannedAxis
 from commissioning.result.fleet import Room
-from drivers.link_text import is_simulated
 from profiles.errors import Refused
 
 __all__ = ["GOOD_FOR", "Asked", "check_in_advance", "question"]
@@ -37,7 +36,7 @@ def check_in_advance(
 
     Raises Refused where nobody could be asked, or nobody may answer in advance.
     """
-    real = [one.name for one in axes if one.link and not is_simulated(one.link)]
+    real = [one.name for one in axes if one.is_real]
     if real and os.environ.get("CI") and (yes or fleet.confirm == "yes"):
         raise Refused(
             f"CI is set, and {_some(real)} would really move: nothing confirms that in advance "
@@ -75,6 +74,10 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:3]) + more
 
 
+def _on(axis: PlannedAxis) -> str:
+    return f" (on {axis.gateway})" if axis.gateway else ""
+
+
 def question(
     fleet: Fleet,
     first: PlannedAxis,
@@ -98,8 +101,8 @@ def question(
     if all(axis.name != first.name for axis, _ in soon):
         soon = [pair for pair in together if pair[0].name == first.name]
     lines = [
-        f"  '{axis.name}' up to ±{room.travel:.4g} {room.position_unit} about its present "
-        f"position, with up to {room.torque:.4g} {room.effort_unit} and {room.speed:.4g} "
+        f"  '{axis.name}'{_on(axis)} up to ±{room.travel:.4g} {room.position_unit} about its "
+        f"present position, with up to {room.torque:.4g} {room.effort_unit} and {room.speed:.4g} "
         f"{room.position_unit}/s"
         for axis, room in soon
     ]

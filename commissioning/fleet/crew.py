@@ -12,13 +12,13 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple, Protocol
 
 from commissioning.fleet.messages import Order, Report
 from commissioning.processes import start
 from commissioning.result.fleet_codec import json_of, of_json
 
-__all__ = ["Crew", "Spoken", "Worker"]
+__all__ = ["Crew", "Elsewhere", "Spoken", "Worker"]
 
 _TO_END, _LOOK = 5.0, 0.02  # s
 
@@ -30,14 +30,51 @@ class Spoken(NamedTuple):
     report: Report | None
 
 
-class Worker:
-    """One process.
+class Worker(Protocol):
+    """Whoever acts for a fleet run: a process here, or one that is reached by a gateway.
 
     Attributes
     ----------
     busy : axis that it is at; '': none
     moves : and that it may move it
+    gateway : on whose computer it is; '': this one
     """
+
+    busy: str
+    moves: bool
+    gateway: str
+
+    @property
+    def pid(self) -> int:
+        """Number of its process."""
+
+    def order(self, order: Order) -> bool:
+        """Tell it what to do; False: it hears no more."""
+
+    def interrupt(self) -> None:
+        """As a Ctrl-C: it stops its axis, and ends its job."""
+
+    def dismiss(self) -> None:
+        """Let it go; it ends its job first."""
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether nothing more comes from it."""
+
+    def give_up(self) -> None:
+        """End it at once; for one that moves nothing."""
+
+    def close(self) -> None:
+        """Let go of what led to it; it has ended."""
+
+
+Elsewhere = Callable[[str, "queue.SimpleQueue[Spoken]"], Worker]  # by the name of its gateway
+
+
+class _Process:
+    """A worker of this computer."""
+
+    gateway = ""
 
     def __init__(self, log: Path, heard: queue.SimpleQueue[Spoken]) -> None:
         self.busy = ""
@@ -52,7 +89,6 @@ class Worker:
 
     @property
     def pid(self) -> int:
-        """Number of its process."""
         return int(self._process.pid)
 
     def _hear(self, heard: queue.SimpleQueue[Spoken]) -> None:
@@ -65,7 +101,6 @@ class Worker:
         heard.put(Spoken(self, None))
 
     def order(self, order: Order) -> bool:
-        """Tell it what to do; False: it hears no more."""
         assert self._process.stdin is not None
         self.busy, self.moves = order.name, order.act == "job"
         try:
@@ -76,7 +111,6 @@ class Worker:
         return True
 
     def interrupt(self) -> None:
-        """As a Ctrl-C: it stops its axis, and ends its job."""
         with contextlib.suppress(OSError):
             if sys.platform == "win32":
                 self._process.send_signal(signal.CTRL_BREAK_EVENT)
@@ -84,23 +118,19 @@ class Worker:
                 self._process.send_signal(signal.SIGINT)
 
     def dismiss(self) -> None:
-        """Let it go; it ends its job first."""
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):
             self._process.stdin.close()
 
     @property
     def has_ended(self) -> bool:
-        """Whether its process is no more."""
         return self._process.poll() is not None
 
     def give_up(self) -> None:
-        """End it at once; for one that moves nothing."""
         with contextlib.suppress(OSError):
             self._process.kill()
 
     def close(self) -> None:
-        """Let go of what led to it; its process has ended."""
         self._process.wait()
         self._ear.join(_TO_END)
         if self._process.stdout is not None and not self._ear.is_alive():
@@ -117,9 +147,10 @@ def _opened(log: Path) -> BinaryIO:
 
 
 class Crew:
-    """The workers of one fleet run."""
+    """The workers of one fleet run; `elsewhere`: how one on a gateway is had."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, elsewhere: Elsewhere | None = None) -> None:
+        self._elsewhere = elsewhere
         self._log = folder / "workers.log"
         self._queue: queue.SimpleQueue[Spoken] = queue.SimpleQueue()
         self._all: list[Worker] = []
@@ -127,15 +158,22 @@ class Crew:
 
     def order(self, order: Order, *, anew: bool) -> Worker:
         """A worker that does this: a used one, or one `anew`."""
-        while self._idle and not anew:
-            worker = self._idle.pop()
+        while not anew and (idle := [w for w in self._idle if w.gateway == order.gateway]):
+            worker = idle[-1]
+            self._idle.remove(worker)
             if worker.order(order):
                 return worker
             worker.busy = ""  # it has died meanwhile, which is still to be heard
-        worker = Worker(self._log, self._queue)
+        worker = self._hired(order.gateway)
         self._all.append(worker)
         worker.order(order)
         return worker
+
+    def _hired(self, gateway: str) -> Worker:
+        if not gateway:
+            return _Process(self._log, self._queue)
+        assert self._elsewhere is not None, "an axis of a gateway, and none was met"
+        return self._elsewhere(gateway, self._queue)
 
     def at_work(self) -> dict[str, Worker]:
         """Those that have an axis, by its name."""
@@ -144,7 +182,7 @@ class Crew:
     def hear(self, seconds: float) -> Spoken | None:
         """The next thing that a worker says, or nothing for so long."""
         try:
-            return self._queue.get(timeout=seconds)
+            return self._queue.get(block=seconds > 0, timeout=seconds or None)
         except queue.Empty:
             return None
 

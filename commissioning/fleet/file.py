@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from commissioning.result.fleet import FleetJob
 from commissioning.result.readings import MethodName
 from profiles.axis import axis_name
 from profiles.strict import Strict
 
-__all__ = ["MOST_AXES", "AxisEntry", "FleetFile", "Group", "Keys", "Zone"]
+__all__ = [
+    "MOST_AXES",
+    "AxisEntry",
+    "FleetFile",
+    "Gateway",
+    "Group",
+    "Keys",
+    "Zone",
+    "gateway_name",
+]
 
 MOST_AXES = 1000
 Positive = Annotated[float, Field(gt=0)]
@@ -31,10 +41,37 @@ class Group(Strict):
     on_failure: Literal["stop-group", "go-on"] = "stop-group"
 
 
+def gateway_name(text: str) -> str:
+    """A name that a certificate can bear; raises ValueError."""
+    if not re.fullmatch(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?", text):
+        raise ValueError(
+            "is no name of a gateway: lower-case letters, digits and dashes, as its certificate has"
+        )
+    return text
+
+
+GatewayName = Annotated[str, AfterValidator(gateway_name)]
+
+
 class Gateway(Strict):
-    """Another computer that owns the bus of some axes."""
+    """Another computer that owns the bus of some axes.
+
+    Attributes
+    ----------
+    address : tls://HOST:PORT
+    keys : folder with ca.crt and the certificate of this client, beside the fleet file
+    """
 
     address: str
+    keys: str | None = None
+
+    @field_validator("address")
+    @classmethod
+    def _check(cls, text: str) -> str:
+        found = re.fullmatch(r"tls://(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9._-]+):([0-9]{1,5})", text)
+        if found is None or not 0 < int(found[2]) < 65536:
+            raise ValueError("must be tls://HOST:PORT, as in tls://10.0.7.11:8786")
+        return text
 
 
 class Keys(Strict):
@@ -94,7 +131,9 @@ class AxisEntry(Keys):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.file is None and self.link is None:
+        if self.gateway is not None:
+            self._check_named_only()
+        elif self.file is None and self.link is None:
             raise ValueError("an axis needs a file, or a link and a name")
         if self.file is None and self.name is None:
             raise ValueError("an axis without a file needs a name")
@@ -106,6 +145,14 @@ class AxisEntry(Keys):
             )
         return self
 
+    def _check_named_only(self) -> None:
+        allowed = {"name", "gateway", "group", "zone", "after", "serial", "twin", *OF_THE_JOB}
+        wrong = [key for key in self.model_fields_set if key not in allowed]
+        if wrong:
+            raise ValueError(
+                f"an axis of a gateway is described by the file there, and not by '{wrong[0]}' here"
+            )
+
 
 class FleetFile(Strict):
     """A fleet file as it is written."""
@@ -116,5 +163,5 @@ class FleetFile(Strict):
     defaults: Keys = Keys()
     zones: dict[Name, Zone] = {}
     groups: dict[Name, Group] = {}
-    gateways: dict[str, Gateway] = {}
+    gateways: dict[GatewayName, Gateway] = {}
     axes: Annotated[list[AxisEntry], Field(min_length=1, max_length=MOST_AXES)]

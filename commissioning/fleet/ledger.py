@@ -38,11 +38,12 @@ T = TypeVar("T")
 
 
 class Place(NamedTuple):
-    """Where an axis is."""
+    """Where an axis is; `gateway`: the computer that has its bus, None: this one."""
 
     link: str
     group: str | None
     zone: str | None
+    gateway: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +74,15 @@ class FleetRecord:
 
     def place(self, axis: str) -> Place:
         """Where an axis is, by the file."""
-        said = json.loads(self.definition)["axes"].get(axis, {})
-        return Place(said.get("link", ""), said.get("group"), said.get("zone"))
+        tree = json.loads(self.definition)
+        said = tree["axes"].get(axis, {})
+        link = said.get("link") or tree.get("told", {}).get(axis, "")
+        return Place(link, said.get("group"), said.get("zone"), said.get("gateway"))
+
+    @property
+    def key(self) -> str:
+        """What it is called on other computers, whose fleet runs have ids of their own."""
+        return f"{self.id}@{slug(self.host)}-{self.created * 1e6:.0f}"
 
     @property
     def rehearsed(self) -> bool:
@@ -212,14 +220,8 @@ class Ledger(OpenJournal):
         """Runs that somebody runs, or of which a process still moves an axis, the last first."""
         with self._errors():
             rows = self._db.execute("SELECT * FROM fleet_runs ORDER BY rowid DESC").fetchall()
-            moving = {
-                row["fleet_run"]
-                for row in self._db.execute(
-                    "SELECT * FROM fleet_axes WHERE state=?", (JobState.STARTED,)
-                ).fetchall()
-                if self._row(row).is_alive
-            }
             found = [self._record(row) for row in rows]
+        moving = {run for run, _ in self.moving()}
         over = FleetState.FINISHED, FleetState.STOPPED
         return [
             one for one in found if one.id in moving or (one.state not in over and one.is_alive)
@@ -288,6 +290,21 @@ class Ledger(OpenJournal):
             given=(JobState.GRANTED,), also={**me, "boot": boot()},
         )  # fmt: skip
 
+    def hand_over(self, run: str, axis: str, attempt: int, gateway: str) -> bool:
+        """From now on the ledger of a gateway knows whether a granted axis was started."""
+        return self.move(
+            run, axis, attempt, JobState.STARTED, why=f"handed to gateway '{gateway}'",
+            given=(JobState.GRANTED,),
+        )  # fmt: skip
+
+    def learn(
+        self, run: str, axis: str, attempt: int, state: JobState, outcome: Outcome | None, why: str
+    ) -> bool:
+        """What the ledger of its gateway says of an axis that was handed over."""
+        also = {"run": outcome.run, "outcome": json_of(outcome)} if outcome else {}
+        given = JobState.GRANTED, JobState.STARTED, JobState.UNKNOWN
+        return self.move(run, axis, attempt, state, why=why, given=given, also=also)
+
     def revoke(self, run: str, axis: str, attempt: int, why: str) -> bool:
         """Take a grant back; False: it was started already, or never given."""
         return self.move(run, axis, attempt, JobState.REVOKED, why=why, given=(JobState.GRANTED,))
@@ -309,6 +326,63 @@ class Ledger(OpenJournal):
                 (why, run, axis, attempt),
             )
             self._tell(db, run, axis, attempt, why)
+
+    # -- of other computers' runs, on a gateway ---------------------------------------------------
+
+    def host(self, key: str, name: str, file: str, job: FleetJob, whose: tuple[str, str]) -> None:
+        """There is a fleet run of another computer; `whose`: host and operator."""
+        me, now = this_process(), time.time()
+        definition = json.dumps({"axes": {}})
+        with self._change() as db:
+            db.execute(
+                "INSERT OR IGNORE INTO fleet_runs(id, created, name, file, job, definition, state, "
+                "host, operator, pid, started, boot, ended) VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?)",
+                (
+                    key, now, name, file, job, definition, FleetState.FINISHED, *whose,
+                    me["pid"], me["started"], boot(), now,
+                ),
+            )  # fmt: skip
+
+    def admit(
+        self, key: str, axis: str, attempt: int, state: JobState, why: str = "",
+        confirmed: Confirmed | None = None, serial: str | None = None,
+    ) -> bool:  # fmt: skip
+        """A first word on this attempt: granted, or revoked for good; False: there is one."""
+        said = None if confirmed is None else json_of(confirmed)
+        now = time.time()
+        with self._change() as db:
+            new = db.execute(
+                "INSERT OR IGNORE INTO fleet_axes(fleet_run, axis, attempt, state, at, why, "
+                "confirmed, serial, began) VALUES (?,?,?,?,?,?,?,?,?)",
+                (key, axis, attempt, state, now, why, said, serial, now),
+            ).rowcount
+            if new:
+                self._tell(db, key, axis, attempt, f"{state}: {why}" if why else str(state))
+        return new == 1
+
+    def knows(self, run: str) -> bool:
+        """Whether there is such a fleet run."""
+        with self._errors():
+            found = self._db.execute("SELECT 1 FROM fleet_runs WHERE id=?", (run,)).fetchone()
+        return found is not None
+
+    def row(self, run: str, axis: str, attempt: int) -> LedgerRow | None:
+        """One attempt at one axis."""
+        with self._errors():
+            found = self._db.execute(
+                "SELECT * FROM fleet_axes WHERE fleet_run=? AND axis=? AND attempt=?",
+                (run, axis, attempt),
+            ).fetchone()
+            return None if found is None else self._row(found)
+
+    def moving(self) -> list[tuple[str, LedgerRow]]:
+        """Axes that a process of this computer has, and of which fleet run."""
+        with self._errors():
+            found = self._db.execute(
+                "SELECT * FROM fleet_axes WHERE state=?", (JobState.STARTED,)
+            ).fetchall()
+            rows = [(str(row["fleet_run"]), self._row(row)) for row in found]
+        return [(run, row) for run, row in rows if row.is_alive]
 
     def left_open(self, file: Path) -> list[tuple[str, LedgerRow]]:
         """Axes of any run of a fleet file that were granted, or started and not ended."""

@@ -11,7 +11,7 @@ from commissioning.ending import error_of
 from commissioning.fleet.crew import Crew
 from commissioning.fleet.messages import Looked, Order
 from commissioning.fleet.plan import Fleet, PlannedAxis
-from commissioning.fleet.schedule import Rules, Task, startable
+from commissioning.fleet.schedule import Rules, Share, Task, startable
 from commissioning.fleet.serials import Pins, misplaced
 from commissioning.journal import Journal
 from commissioning.result.endings import Error
@@ -45,18 +45,19 @@ class Seen:
 
 
 def rules_of(fleet: Fleet, at_once: int | None) -> Rules:
-    """How many at once on this computer: all its processors, but for one in real time."""
+    """How many at once on each computer: all its processors, but for one in real time."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     cores = cores or 1
     zones = {name: zone.at_once for name, zone in fleet.zones.items() if zone.at_once is not None}
-    return Rules(at_once or max(1, cores - 1), at_once or cores, zones)
+    others = {name: Share(max(1, its - 1), its) for name, its in fleet.cores.items()}
+    return Rules(at_once or max(1, cores - 1), at_once or cores, zones, others, at_once)
 
 
 def task_of(axis: PlannedAxis, seconds: float) -> Task:
     """An axis as the schedule sees it."""
     return Task(
         axis.name, axis.bus, axis.group or "", axis.zone or "", axis.after, seconds,
-        axis.is_stepping,
+        axis.is_stepping, axis.gateway or "",
     )  # fmt: skip
 
 
@@ -65,7 +66,8 @@ def order_of(fleet: Fleet, axis: PlannedAxis, act: str, run: str, attempt: int) 
     assert axis.axis is not None
     return Order(
         "look" if act == "look" else "job", run, axis.name, attempt, fleet.job,
-        axis.axis.model_dump_json(), axis.options,
+        axis.axis.as_said() if axis.gateway else axis.axis.model_dump_json(), axis.options,
+        gateway=axis.gateway or "",
     )  # fmt: skip
 
 
@@ -90,10 +92,10 @@ def look_at_all(
     waiting: dict[str, tuple[Task, PlannedAxis]] = {}
     for axis in axes:
         if axis.broken is not None:
-            take(axis.name, Seen(error=error_of(axis.broken), state=JobState.REFUSED))
+            take(axis.name, _seen(None, error_of(axis.broken), axis.broken.exit_code))
         else:
             # groups and zones are for motion: a look needs the bus alone
-            task = Task(axis.name, axis.bus, stepping=axis.is_stepping)
+            task = Task(axis.name, axis.bus, stepping=axis.is_stepping, computer=axis.gateway or "")
             waiting[axis.name] = (task, axis)
     running: dict[str, Task] = {}
     while waiting or running:
@@ -104,19 +106,19 @@ def look_at_all(
             running[task.name] = task
             crew.order(order_of(fleet, axis, "look", "", 0), anew=False)
         heard = crew.hear(_WAIT)
-        if heard is None:
-            continue
-        worker, report = heard
-        name = worker.busy
-        if report is None:
-            crew.buried(worker)
-            if name in running:
+        while heard is not None:
+            worker, report = heard
+            name = worker.busy
+            if report is None:
+                crew.buried(worker)
+                if name in running:
+                    del running[name]
+                    take(name, _lost())
+            elif report.kind in ("looked", "ended") and name in running:
                 del running[name]
-                take(name, _lost())
-        elif report.kind in ("looked", "ended") and name in running:
-            del running[name]
-            crew.take_back(worker)
-            take(name, _seen(report.looked, report.error, report.exit_code))
+                crew.take_back(worker)
+                take(name, _seen(report.looked, report.error, report.exit_code))
+            heard = crew.hear(0.0)
     return seen
 
 
@@ -163,7 +165,9 @@ def cut_off(fleet: Fleet, pinned: Mapping[str, str], journal: Journal) -> dict[s
     """
     found = {}
     for one in fleet.axes:
-        if one.group is None or not one.link:
+        if one.far is not None and one.group and one.far.cut_off:
+            found[one.name] = one.far.cut_off
+        if one.group is None or not one.link or one.gateway is not None:
             continue
         here = partial(same_place, one.link)
         runs = journal.unfinished_on(here)

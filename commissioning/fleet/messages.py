@@ -7,7 +7,7 @@ from typing import Literal
 
 from commissioning.desk import Options
 from commissioning.result.endings import Error
-from commissioning.result.fleet import FleetJob, JobState, Outcome, Room
+from commissioning.result.fleet import Confirmed, FleetJob, JobState, Outcome, Room
 
 __all__ = ["Looked", "Order", "Report"]
 
@@ -21,6 +21,8 @@ class Order:
     act : look at the axis, and only that; or do the job, if the ledger grants it
     axis : as JSON
     room : what was confirmed, of which no more is used
+    gateway : computer that has its bus; '': this one
+    confirmed : by whom, and how
     """
 
     act: Literal["look", "job"]
@@ -31,6 +33,8 @@ class Order:
     axis: str
     options: Options
     room: Room | None = None
+    gateway: str = ""
+    confirmed: Confirmed | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,15 +59,15 @@ class Report:
 
     Attributes
     ----------
-    kind : ready to be ordered about | a line of text | a step begins | how the motion goes | what a
-        look has shown | how an order has ended | it was not granted
+    kind : ready to be ordered about | a line of text | one that people must see | a step begins |
+        how the motion goes | what a look has shown | how an order has ended | it was not granted
     state, outcome : of an ended job
     error : of a look that was not to be had
     moving : samples since the last pulse, the drive enabled
     late : share of the cycles that came late
     """
 
-    kind: Literal["ready", "tell", "step", "pulse", "looked", "ended", "void"]
+    kind: Literal["ready", "tell", "alarm", "step", "pulse", "looked", "ended", "void"]
     text: str = ""
     step: int = 0
     steps: int = 0

@@ -1,41 +1,37 @@
-"""A fleet file with its axis files: what is to be done to which axis."""
+"""What is to be done to which axis: a fleet file that was read, with its axes."""
 
 from __future__ import annotations
 
-import difflib
-import glob
 import hashlib
 import json
-import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from commissioning.desk import Options
-from commissioning.fleet.file import (
-    LIMITS,
-    MOST_AXES,
-    OF_THE_JOB,
-    AxisEntry,
-    FleetFile,
-    Group,
-    Keys,
-    Zone,
-)
+from commissioning.fleet.file import Gateway, Group, Keys, Zone
 from commissioning.result.fleet import FleetJob
-from drivers.link import axis_of, check_virtual
 from drivers.link_text import is_simulated, parse
-from drivers.places import buses, same_place
-from profiles.axis import Axis, axis_name, load_axis
-from profiles.errors import ProfileError, TwoRelayError, UnknownName, UsageError
-from profiles.toml_files import parse_tree, read_text, validated
+from profiles.axis import Axis
+from profiles.errors import TwoRelayError, UnknownName
 
-__all__ = ["Fleet", "PlannedAxis", "differences", "load_fleet"]
+__all__ = ["Far", "Fleet", "PlannedAxis", "differences"]
 
-_OF_A_LINE = "baudrate", "parity", "stopbits", "bitrate", "clock"
-_NO_AXIS = "file", "serial", "after", "gateway", "twin", *OF_THE_JOB
-_ONE_UNIT = "travel", "torque", "speed"  # in rad, N.m, rad/s or m, N, m/s
+
+@dataclass(frozen=True, slots=True)
+class Far:
+    """What only the gateway of an axis knows.
+
+    Attributes
+    ----------
+    stepping, simulated : of its drive, as on that computer
+    cut_off : a run on its drive that was cut off there
+    """
+
+    stepping: bool = False
+    simulated: bool = False
+    cut_off: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +44,8 @@ class PlannedAxis:
     bus : a name of the bus that it is on; '': one of its own, in this computer's memory
     serial : which drive it has to be, as the file says; None: as it was pinned
     broken : why it cannot be tried
+    gateway : computer that has its bus; None: this one
+    far : what that computer tells of it, once it has been asked
     """
 
     name: str
@@ -61,6 +59,7 @@ class PlannedAxis:
     twin: str | None = None
     bus: str = ""
     broken: TwoRelayError | None = None
+    far: Far | None = None
 
     @property
     def link(self) -> str:
@@ -70,15 +69,33 @@ class PlannedAxis:
     @property
     def is_stepping(self) -> bool:
         """Whether its time is simulated."""
+        if self.gateway is not None:
+            return self.far is not None and self.far.stepping
         link = parse(self.link) if self.link else None
         if link is None:
             return False
         return link.scheme == "virtual" or (link.is_stepping and is_simulated(self.link))
 
+    @property
+    def is_real(self) -> bool:
+        """Whether something moves: its drive is neither virtual nor on loopback."""
+        if self.gateway is not None:
+            return self.far is None or not self.far.simulated
+        return bool(self.link) and not is_simulated(self.link)
+
+    @property
+    def where(self) -> str:
+        """Its link, and on which computer that is."""
+        return f"{self.gateway}: {self.link}" if self.gateway and self.link else self.link
+
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """A fleet file that is in order; `rehearsed`: its drives are twins."""
+    """A fleet file that is in order; `rehearsed`: its drives are twins.
+
+    `defaults` : of an axis, which the axis files of gateways are above, too. `cores`: processors of
+    each gateway that has been asked.
+    """
 
     path: Path
     name: str
@@ -88,6 +105,9 @@ class Fleet:
     zones: Mapping[str, Zone]
     groups: Mapping[str, Group]
     rehearsed: bool = False
+    gateways: Mapping[str, Gateway] = field(default_factory=dict)
+    defaults: Keys = field(default_factory=Keys)
+    cores: Mapping[str, int] = field(default_factory=dict)
 
     def axis(self, name: str) -> PlannedAxis:
         """By its name; raises UnknownName."""
@@ -101,11 +121,12 @@ class Fleet:
         """All that it asks for, as JSON has it: two are alike where they ask for the same."""
         axes = {}
         for one in self.axes:
-            said = json.loads(one.axis.model_dump_json(exclude_unset=True)) if one.axis else {}
+            here = one.axis if one.gateway is None else None  # else it is the gateway's to say
+            said = json.loads(here.model_dump_json(exclude_unset=True)) if here else {}
             options = {f.name: getattr(one.options, f.name) for f in fields(one.options)}
             others = {
                 "group": one.group, "zone": one.zone, "after": list(one.after),
-                "serial": one.serial, "profile_hash": _hash_of(one),
+                "serial": one.serial, "profile_hash": _hash_of(one), "gateway": one.gateway,
             }  # fmt: skip
             merged = (*options.items(), *said.items(), *others.items())
             axes[one.name] = {k: v for k, v in merged if v not in (None, False, [], {})}
@@ -115,12 +136,17 @@ class Fleet:
             "zones": {name: one.model_dump() for name, one in self.zones.items()},
             "axes": axes,
             "rehearsed": self.rehearsed,
+            **({"gateways": self._gateways} if self._gateways else {}),
         }  # fmt: skip
+
+    @property
+    def _gateways(self) -> dict[str, Any]:
+        return {name: one.model_dump() for name, one in self.gateways.items()}
 
 
 def _hash_of(one: PlannedAxis) -> str | None:
     """Of a profile that is a file, which may change."""
-    profile = one.axis and one.axis.profile
+    profile = one.axis and one.gateway is None and one.axis.profile
     if not profile or not profile.endswith(".toml"):
         return None
     try:
@@ -142,273 +168,3 @@ def differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
                 yield from differences(old[key], new[key], inside)
     elif old != new:
         yield f"{where} is {new!r}, was {old!r}"
-
-
-def load_fleet(path: Path, job: FleetJob | None = None) -> Fleet:
-    """Read a fleet file and its axis files; `job`: instead of the one that it asks for.
-
-    An axis file that is broken is kept for the axis; the fleet file itself, and what contradicts
-    itself in it, raise UsageError.
-    """
-    file = _file(path)
-    found = [one for n, entry in enumerate(file.axes, 1) for one in _entries(path, file, entry, n)]
-    if len(found) > MOST_AXES:
-        raise UsageError(f"{path}: has {len(found)} axes: must have {MOST_AXES} at most")
-    axes = _with_buses(found)
-    _check_names(path, axes)
-    _check_order(path, axes)
-    _check_places(path, axes)
-    _check_units(path, file, axes)
-    return Fleet(
-        path, file.name or path.stem, job or file.job, file.confirm, axes, file.zones, file.groups
-    )
-
-
-def _file(path: Path) -> FleetFile:
-    """The fleet file; an error counts its axes from 1, and says where it is an axis file."""
-    tree = parse_tree(read_text(path), str(path))
-    if "link" in tree and "axes" not in tree:
-        raise UsageError(
-            f"{path}: is an axis file, and no fleet file",
-            hint=f"'tworelay commission {path}', or name it in the [[axes]] of a fleet file",
-        )
-    try:
-        return validated(tree, FleetFile, str(path))
-    except ProfileError as error:
-        text = re.sub(
-            r"\[axes\.(\d+)([^\]]*)\]",
-            lambda found: f"[[axes]] number {int(found[1]) + 1}{found[2].replace('.', ' ')}:",
-            error.text,
-        )
-        raise ProfileError(text) from None
-
-
-def _entries(path: Path, file: FleetFile, entry: AxisEntry, number: int) -> Iterator[PlannedAxis]:
-    """The axes of one entry."""
-    if entry.file is None:
-        yield _planned(path, file, entry, None, number)
-        return
-    if not entry.is_glob:
-        yield _planned(path, file, entry, path.parent / entry.file, number)
-        return
-    matches = sorted(glob.glob(entry.file, root_dir=path.parent))  # noqa: PTH207  Path's takes no absolute one
-    if not matches:
-        raise UsageError(
-            f"{path}: [[axes]] number {number}: no file matches '{entry.file}' in "
-            f"{path.parent.resolve()}"
-        )
-    for match in matches:
-        yield _planned(path, file, entry, path.parent / match, number)
-
-
-def _planned(
-    path: Path, file: FleetFile, entry: AxisEntry, axis_file: Path | None, number: int
-) -> PlannedAxis:
-    """One axis: its file, what the entry says above it, the defaults below it."""
-    name = _name_of(path, entry, axis_file)
-    where = f"{path}: [[axes]] number {number} ({name})"
-    if entry.link is not None:
-        _readable(entry.link, where)
-    try:
-        of_file = load_axis(axis_file) if axis_file else Axis(name=name)
-        if axis_file and of_file.link and entry.link is None:
-            _readable(of_file.link, str(axis_file))
-    except UsageError as error:
-        group, zone = _place(file, where, entry.group, entry.zone)
-        return PlannedAxis(
-            name, None, Options(), group, zone, tuple(entry.after), entry.serial, broken=error
-        )
-    name = entry.name or of_file.name
-    said = of_file.model_dump(exclude_unset=True)
-    for key in ("group", "zone"):
-        mine, its = getattr(entry, key), said.get(key)
-        if mine and its and mine != its:
-            raise UsageError(f"{where}: {key} is '{mine}', and '{its}' in {axis_file}")
-    link = entry.link or of_file.link
-    known = axis_of(link).model_dump(exclude_unset=True) if link and _is_virtual(link) else {}
-    tree = _over(_over(_over(known, _said(file.defaults)), said), _said(entry))
-    tree["name"] = name
-    group, zone = _place(file, where, tree.get("group"), tree.get("zone"))
-    if entry.gateway is not None and entry.gateway not in file.gateways:
-        raise UnknownName(f"gateway in {path}", entry.gateway, list(file.gateways))
-    axis = validated({k: v for k, v in tree.items() if k not in _NO_AXIS}, Axis, where)
-    if axis.link is None:
-        broken = UsageError(f'{where}: has no link; add link = "modbus-tcp://…"')
-        return PlannedAxis(name, None, Options(), group, zone, tuple(entry.after), broken=broken)
-    options = {key: tree[key] for key in OF_THE_JOB if tree.get(key) is not None}
-    if "method" in options:
-        options["method"] = str(options["method"])
-    axis = axis.model_copy(update={"profile": _beside(path, axis.profile)})
-    return PlannedAxis(
-        name, axis, Options(**options), group, zone, tuple(entry.after), entry.serial,
-        tree.get("gateway"), tree.get("twin"),
-    )  # fmt: skip
-
-
-def _name_of(path: Path, entry: AxisEntry, axis_file: Path | None) -> str:
-    """What an axis is called before its file is read; raises UsageError."""
-    if entry.name is not None:
-        return entry.name
-    assert axis_file is not None
-    try:
-        return axis_name(axis_file.stem)
-    except ValueError as error:
-        raise UsageError(
-            f"{path}: {axis_file!s}: the file's name is the axis' name, which {error}",
-            hint='rename it, or say name = "…" in the fleet file',
-        ) from None
-
-
-def _readable(link: str, where: str) -> None:
-    """Raises UsageError, which says whose link it is."""
-    try:
-        parsed = parse(link)
-        if parsed.scheme == "virtual":
-            check_virtual(parsed)
-    except UsageError as error:
-        raise UsageError(f"{where}: {error.text}", hint=error.hint) from None
-
-
-def _is_virtual(link: str) -> bool:
-    return parse(link).scheme == "virtual"
-
-
-def _said(keys: Keys) -> dict[str, Any]:
-    """What stands in the file, and is no default of ours; a limit by one name."""
-    tree = keys.model_dump(exclude_unset=True)
-    limits = {**tree.get("limits", {})}
-    for option, limit in LIMITS.items():
-        if option in tree:
-            limits[limit] = tree.pop(option)
-    return {**tree, "limits": limits} if limits else tree
-
-
-def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """What the upper says, else the lower; sections key by key."""
-    merged = dict(below)
-    for key, value in above.items():
-        under = merged.get(key)
-        merged[key] = _over(under, value) if isinstance(under, dict) else value
-    return merged
-
-
-def _beside(path: Path, profile: str | None) -> str | None:
-    """A profile that is a file is looked for beside the fleet file, too."""
-    if profile is None or not profile.endswith(".toml"):
-        return profile
-    beside = path.parent / profile
-    return str(beside) if beside.exists() else profile
-
-
-def _place(
-    file: FleetFile, where: str, group: str | None, zone: str | None
-) -> tuple[str | None, str | None]:
-    """Group and zone, which are declared, and agree; raises UsageError."""
-    if group is not None and group not in file.groups:
-        raise UsageError(
-            f"{where}: the group '{group}' is declared nowhere; there are: "
-            f"{', '.join(file.groups) or 'none'} (declare it: [groups.{group}])"
-        )
-    of_group = file.groups[group].zone if group is not None else None
-    if zone and of_group and zone != of_group:
-        raise UsageError(
-            f"{where}: is in zone '{zone}', and its group '{group}' is in zone '{of_group}'"
-        )
-    zone = zone or of_group
-    if zone is not None and zone not in file.zones:
-        raise UsageError(
-            f"{where}: the zone '{zone}' is declared nowhere; there are: "
-            f"{', '.join(file.zones) or 'none'} (declare it: [zones.{zone}])"
-        )
-    return group, zone
-
-
-def _check_names(path: Path, axes: Sequence[PlannedAxis]) -> None:
-    if any(one.name == "failed" for one in axes):
-        raise UsageError(f"{path}: 'failed' names no axis: --again failed means all that are")
-    seen: dict[str, str] = {}
-    for one in axes:
-        before = seen.setdefault(one.name.casefold(), one.name)
-        if sum(other.name.casefold() == one.name.casefold() for other in axes) > 1:
-            raise UsageError(
-                f"{path}: the axis '{before}' is named twice: an axis is in a fleet once, "
-                'and two files of one name want name = "…"'
-            )
-
-
-def _check_order(path: Path, axes: Sequence[PlannedAxis]) -> None:
-    """`after` names axes of the fleet, and leads nowhere in a circle."""
-    after = {one.name: set(one.after) for one in axes}
-    for one in axes:
-        for name in one.after:
-            if name not in after:
-                near = difflib.get_close_matches(name, after, 1)
-                hint = f"; did you mean '{near[0]}'?" if near else ""
-                raise UsageError(
-                    f"{path}: '{one.name}' is to run after '{name}', which is no axis here{hint}"
-                )
-    left = dict(after)
-    while free := [name for name, before in left.items() if not before & left.keys()]:
-        for name in free:
-            del left[name]
-    if left:
-        way = [min(left)]
-        while (before := min(left[way[-1]] & left.keys())) not in way:
-            way.append(before)
-        circle = [*way[way.index(before) :], before]
-        raise UsageError(f"{path}: 'after' leads in a circle: {' after '.join(circle)}")
-
-
-def _check_units(path: Path, file: FleetFile, axes: Sequence[PlannedAxis]) -> None:
-    """A length in the defaults is of one kind of axis."""
-    said = _said(file.defaults)
-    named = [key for key in _ONE_UNIT if key in {**said, **said.get("limits", {})}]
-    kinds = {one.axis.position_unit: one.name for one in axes if one.axis is not None}
-    if named and len(kinds) > 1:
-        raise UsageError(
-            f"{path}: {named[0]} in [defaults] would be in rad or N.m for '{kinds['rad']}', and in "
-            f"m or N for '{kinds['m']}': say it for each",
-        )
-
-
-def _check_places(path: Path, axes: Sequence[PlannedAxis]) -> None:
-    """Each drive once, and one setting of each line."""
-    here: dict[str, list[PlannedAxis]] = {}
-    for one in axes:
-        here.setdefault(one.bus or one.link, []).append(one)
-    for on_bus in here.values():
-        first, *others = on_bus
-        for n, one in enumerate(others, 1):
-            if not one.link:
-                continue
-            for other in on_bus[:n]:
-                if same_place(one.link, other.link):
-                    raise UsageError(
-                        f"{path}: '{other.name}' and '{one.name}' are one drive ({one.link})"
-                    )
-            mine, its = parse(one.link).options, parse(first.link).options
-            for key in _OF_A_LINE:
-                if mine.get(key) != its.get(key):
-                    raise UsageError(
-                        f"{path}: '{first.name}' and '{one.name}' are on one bus, and say "
-                        f"{key}={its.get(key, 'nothing')} and {key}={mine.get(key, 'nothing')}"
-                    )
-
-
-def _with_buses(axes: Sequence[PlannedAxis]) -> tuple[PlannedAxis, ...]:
-    """The axes with one name of their bus each: what shares one of its names is one bus."""
-    named: list[tuple[set[str], list[int]]] = []
-    for n, one in enumerate(axes):
-        names = set(buses(one.link)) if one.link else set()
-        if not names:
-            continue
-        mine, its = names, [n]
-        others = []
-        for known, members in named:
-            if known & names:
-                mine, its = mine | known, [*members, *its]
-            else:
-                others.append((known, members))
-        named = [*others, (mine, its)]
-    bus_of = {n: min(names) for names, members in named for n in members}
-    return tuple(replace(one, bus=bus_of.get(n, "")) for n, one in enumerate(axes))

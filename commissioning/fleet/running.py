@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import contextlib
+import os
+import platform
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, replace
 
 from commissioning.fleet.board import Board
 from commissioning.fleet.conductor import Conductor
 from commissioning.fleet.confirming import check_in_advance
 from commissioning.fleet.crew import Crew
+from commissioning.fleet.gateway.gateways import Gateways, gateways_of
 from commissioning.fleet.ledger import Ledger
 from commissioning.fleet.looking import Seen, held_back, judged, look_at_all, rules_of, task_of
 from commissioning.fleet.pages import folder_of
@@ -18,6 +22,7 @@ from commissioning.fleet.schedule import makespan, planned
 from commissioning.fleet.serials import Pins
 from commissioning.fleet.taking_up import (
     again,
+    ask_again,
     begin,
     chosen,
     none_under_way,
@@ -30,7 +35,7 @@ from commissioning.result.fleet import FleetJob, FleetResult
 from drivers.home import home
 from profiles.errors import TwoRelayError, UsageError
 
-__all__ = ["FleetWishes", "check", "expected", "run"]
+__all__ = ["FleetWishes", "check", "expected", "met", "run"]
 
 
 Tell = Callable[[str], None]
@@ -69,43 +74,62 @@ def run(
     Raises UsageError, Refused, JournalError where nothing was begun.
     """
     names = chosen(fleet, wishes.only)
-    _without_gateways(fleet)
-    selected = [fleet.axis(name) for name in names]
-    in_advance = check_in_advance(fleet, selected, yes=wishes.yes, terminal=wishes.terminal)
-    pins = Pins(fleet.path, kept=not fleet.rehearsed)
-    with only_runner(fleet), Ledger(home()) as ledger:
-        none_under_way(fleet, ledger)
-        if wishes.resume is not None or wishes.again:
-            record = ledger.record(wishes.resume or "last", fleet.path)
-            run_id = record.id
-            if wishes.job is None:  # it was begun with
-                fleet = replace(fleet, job=record.job)
-            if wishes.again:
-                names = again(fleet, ledger, run_id, wishes.again, names)
+    with met(fleet, people.tell) as (known, gateways):
+        selected = [known.axis(name) for name in names]
+        in_advance = check_in_advance(known, selected, yes=wishes.yes, terminal=wishes.terminal)
+        pins = Pins(fleet.path, kept=not fleet.rehearsed)
+        with only_runner(known), Ledger(home()) as ledger:
+            none_under_way(known, ledger, gateways)
+            own, run_id, names = _begun_or_taken_up(known, ledger, wishes, names, gateways)
+            opened(run_id)
+            if gateways is not None:
+                gateways.use(ledger.record(run_id).key)
+            crew = Crew(folder_of(run_id), gateways.worker if gateways else None)
+            conductor = Conductor(
+                Board(own, ledger, run_id), ledger, crew, people, interruption,
+                pins=pins, at_once=wishes.at_once, in_advance=in_advance,
+                can_ask=wishes.terminal,
+            )  # fmt: skip
+            try:
+                result = conductor.run(names)
+            finally:
+                crew.close(lambda: interruption.count)
+            return result, conductor.error
+
+
+def _begun_or_taken_up(
+    fleet: Fleet, ledger: Ledger, wishes: FleetWishes, names: tuple[str, ...],
+    gateways: Gateways | None,
+) -> tuple[Fleet, str, tuple[str, ...]]:  # fmt: skip
+    """The fleet with the job that is to be done, the run, and the axes that are."""
+    if wishes.resume is None and not wishes.again:
+        return fleet, begin(fleet, ledger, names), names
+    record = ledger.record(wishes.resume or "last", fleet.path)
+    if wishes.job is None:  # it was begun with
+        fleet = replace(fleet, job=record.job)
+    if gateways is not None:
+        ask_again(ledger, record, gateways)
+    if wishes.again:
+        return fleet, record.id, again(fleet, ledger, record.id, wishes.again, names)
+    return fleet, record.id, resume(fleet, ledger, record.id, names)
+
+
+@contextlib.contextmanager
+def met(fleet: Fleet, tell: Tell) -> Generator[tuple[Fleet, Gateways | None]]:
+    """The fleet with what its gateways tell of its axes, and the gateways, if it has any."""
+    gateways = gateways_of(fleet)
+    if gateways is None:
+        yield fleet, None
+        return
+    try:
+        for name, found in gateways.meet().items():
+            if isinstance(found, TwoRelayError):
+                tell(f"gateway '{name}': {found}")
             else:
-                names = resume(fleet, ledger, run_id, names)
-        else:
-            run_id = begin(fleet, ledger, names)
-        opened(run_id)
-        crew = Crew(folder_of(run_id))
-        conductor = Conductor(
-            Board(fleet, ledger, run_id), ledger, crew, people, interruption,
-            pins=pins, at_once=wishes.at_once, in_advance=in_advance, can_ask=wishes.terminal,
-        )  # fmt: skip
-        try:
-            result = conductor.run(names)
-        finally:
-            crew.close(lambda: interruption.count)
-        return result, conductor.error
-
-
-def _without_gateways(fleet: Fleet) -> None:
-    for one in fleet.axes:
-        if one.gateway is not None:
-            raise UsageError(
-                f"axis '{one.name}' is behind gateway '{one.gateway}', and this version runs what "
-                "is on this computer only: run its axes there"
-            )
+                tell(f"gateway '{name}': {found.host}, tworelay {found.version}")
+        yield gateways.joined(), gateways
+    finally:
+        gateways.close()
 
 
 def check(
@@ -115,29 +139,31 @@ def check(
     interruption: Interruption,
     say: Tell,
     accept: tuple[str, ...] = (),
-) -> dict[str, Seen]:
-    """Look at the axes; nothing is written or moved.
+) -> tuple[Fleet, dict[str, Seen]]:
+    """Look at the axes; nothing is written or moved. Returns the fleet as its gateways know it.
 
     `accept` : axes whose drives were exchanged rightfully: what is there now is pinned
     """
     names = chosen(fleet, wishes.only)
     for name in accept:
         fleet.axis(name)
-    _without_gateways(fleet)
     pins = Pins(fleet.path)
     folder = home() / "fleets"
     folder.mkdir(parents=True, exist_ok=True)
-    crew = Crew(folder)
-    try:
-        seen = look_at_all(
-            fleet, [fleet.axis(name) for name in names], crew,
-            rules_of(fleet, wishes.at_once), tell, interruption.check,
-        )  # fmt: skip
-    finally:
-        crew.close(lambda: interruption.count)
+    with met(fleet, say) as (known, gateways):
+        if gateways is not None:
+            gateways.use(f"check@{platform.node()}-{os.getpid()}")
+        crew = Crew(folder, gateways.worker if gateways else None)
+        try:
+            seen = look_at_all(
+                known, [known.axis(name) for name in names], crew,
+                rules_of(known, wishes.at_once), tell, interruption.check,
+            )  # fmt: skip
+        finally:
+            crew.close(lambda: interruption.count)
     _accept(accept, seen, pins, say)
     said = {one.name: one.serial for one in fleet.axes if one.serial is not None}
-    return held_back(fleet, judged(seen, {**pins.known, **said}))
+    return known, held_back(known, judged(seen, {**pins.known, **said}))
 
 
 def _accept(names: tuple[str, ...], seen: Mapping[str, Seen], pins: Pins, tell: Tell) -> None:

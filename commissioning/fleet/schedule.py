@@ -6,10 +6,12 @@ Knows no process and no clock: it is asked with what is so, and says what may be
 from __future__ import annotations
 
 import heapq
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
-__all__ = ["Rules", "Task", "makespan", "obstacle", "planned", "startable"]
+__all__ = ["Rules", "Share", "Task", "makespan", "obstacle", "planned", "startable"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +23,7 @@ class Task:
     bus, group, zone : '' where there is none to share
     seconds : that it is expected to take
     stepping : its time is simulated, so that nothing has to be punctual
+    computer : that has its bus; '': this one
     """
 
     name: str
@@ -30,6 +33,25 @@ class Task:
     after: tuple[str, ...] = ()
     seconds: float = 1.0
     stepping: bool = False
+    computer: str = ""
+
+
+class Share(NamedTuple):
+    """How many at once on one computer.
+
+    Attributes
+    ----------
+    punctual : axes in real time
+    stepping : axes in simulated time, those in real time counted
+    """
+
+    punctual: int
+    stepping: int
+
+    @property
+    def most(self) -> int:
+        """Of either."""
+        return max(self.punctual, self.stepping)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,14 +60,20 @@ class Rules:
 
     Attributes
     ----------
-    punctual : axes in real time
-    stepping : axes in simulated time, those in real time counted
+    punctual, stepping : on this computer
+    computers : on others, by name; most: on all together
     zones : axes of a zone; a zone that is not named has as many as there are
     """
 
     punctual: int
     stepping: int
     zones: Mapping[str, int] = field(default_factory=dict)
+    computers: Mapping[str, Share] = field(default_factory=dict)
+    most: int | None = None
+
+    def share(self, computer: str) -> Share:
+        """Of one computer."""
+        return self.computers.get(computer) or Share(self.punctual, self.stepping)
 
 
 def startable(
@@ -55,7 +83,7 @@ def startable(
     rules: Rules,
     *,
     paused: Collection[str] = (),
-    late: bool = False,
+    late: Collection[str] = (),
 ) -> list[Task]:
     """Those that may start now, beside those that run, in the order in which they should.
 
@@ -63,22 +91,23 @@ def startable(
     ----------
     done : axes that have ended done, which `after` asks for
     paused : zones in which nothing starts
-    late : a job in real time is behind already, so that no other begins
+    late : computers on which a job in real time is behind already, so that no other begins
     """
     waiting = list(waiting)
     behind: dict[str, float] = {}
     for task in waiting:
         behind[task.bus or task.name] = behind.get(task.bus or task.name, 0.0) + task.seconds
     order = sorted(waiting, key=lambda task: (-behind[task.bus or task.name], -task.seconds))
-    taken = list(running)
+    tokens = _Tokens(running, rules)
+    known = frozenset(done)
     found = []
     for task in order:
-        if task.zone in paused or not set(task.after) <= set(done):
+        if task.zone in paused or not known.issuperset(task.after):
             continue
-        if late and not task.stepping:
+        if task.computer in late and not task.stepping:
             continue
-        if _fits(task, taken, rules):
-            taken.append(task)
+        if tokens.are_free_for(task):
+            tokens.take(task)
             found.append(task)
     return found
 
@@ -89,7 +118,7 @@ def obstacle(
     done: Collection[str],
     *,
     paused: Collection[str] = (),
-    late: bool = False,
+    late: Collection[str] = (),
 ) -> str:
     """What a task waits for, in a few words."""
     if task.zone in paused:
@@ -102,25 +131,44 @@ def obstacle(
             return f"'{other.name}' of its group is under way"
         if task.bus and task.bus == other.bus:
             return f"'{other.name}' has its bus"
-    if late and not task.stepping:
+    if task.computer in late and not task.stepping:
         return "a cycle comes late: nothing starts beside it"
     return "as many are under way as may be" if running else ""
 
 
-def _fits(task: Task, running: Sequence[Task], rules: Rules) -> bool:
-    """Whether every token that a task takes is free."""
-    for other in running:
-        if task.bus and task.bus == other.bus:
+class _Tokens:
+    """What those that run have taken."""
+
+    def __init__(self, running: Iterable[Task], rules: Rules) -> None:
+        self._rules = rules
+        self._taken: Counter[tuple[str, str]] = Counter()
+        for task in running:
+            self.take(task)
+
+    def take(self, task: Task) -> None:
+        """All that it takes."""
+        self._taken.update((("all", ""), ("computer", task.computer)))
+        self._taken.update(
+            (kind, name)
+            for kind, name in (("bus", task.bus), ("group", task.group), ("zone", task.zone))
+            if name
+        )
+        if not task.stepping:
+            self._taken["punctual", task.computer] += 1
+
+    def are_free_for(self, task: Task) -> bool:
+        """Whether every token that it takes is free."""
+        taken, rules = self._taken, self._rules
+        if taken["bus", task.bus] or taken["group", task.group]:
             return False
-        if task.group and task.group == other.group:
+        if task.zone in rules.zones and taken["zone", task.zone] >= rules.zones[task.zone]:
             return False
-    if task.zone:
-        in_zone = sum(other.zone == task.zone for other in running)
-        if in_zone >= rules.zones.get(task.zone, len(running) + 1):
+        if rules.most is not None and taken["all", ""] >= rules.most:
             return False
-    if len(running) >= max(rules.stepping, rules.punctual):
-        return False
-    return task.stepping or sum(not other.stepping for other in running) < rules.punctual
+        share = rules.share(task.computer)
+        if taken["computer", task.computer] >= share.most:
+            return False
+        return task.stepping or taken["punctual", task.computer] < share.punctual
 
 
 def makespan(waiting: Sequence[Task], running: Mapping[Task, float], rules: Rules) -> float:

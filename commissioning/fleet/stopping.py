@@ -13,7 +13,7 @@ from commissioning.fleet.ledger import Ledger, LedgerRow
 from commissioning.result.fleet import FleetState, JobState
 from drivers.errors import LinkError
 
-__all__ = ["stop_runs"]
+__all__ = ["interrupt", "stop_runs"]
 
 _PATIENCE, _LOOK = 15.0, 0.2  # s
 _OVER = FleetState.FINISHED, FleetState.STOPPED
@@ -46,7 +46,7 @@ def _stopped(folder: Path, run: str, *, drain: bool) -> Iterator[str]:
                     ledger.revoke(record.id, row.axis, row.attempt, "'tworelay fleet stop'")
             for row in _moving(ledger, record.id):
                 yield f"'{row.axis}': its process {row.pid} is told to stop"
-                _interrupt(row)
+                interrupt(row)
         until = time.monotonic() + _PATIENCE
         while (left := _moving(ledger, record.id)) or (is_led and _goes_on(ledger, record.id)):
             if time.monotonic() > until:
@@ -79,7 +79,7 @@ def _moving(ledger: Ledger, run: str) -> list[LedgerRow]:
     ]  # fmt: skip
 
 
-def _interrupt(row: LedgerRow) -> None:
+def interrupt(row: LedgerRow) -> None:
     """As a Ctrl-C, to a process that the ledger knows to be the one that moves the axis."""
     assert row.pid is not None
     if sys.platform == "win32":

@@ -9,13 +9,14 @@ import json
 from collections.abc import Generator, Sequence
 
 from commissioning.ending import operator
-from commissioning.fleet.ledger import Ledger, LedgerRow
+from commissioning.fleet.ledger import FleetRecord, Ledger, LedgerRow
 from commissioning.fleet.plan import Fleet, PlannedAxis, differences
+from commissioning.fleet.settling import Elsewhere, settle
 from commissioning.locks import Taken, take
 from commissioning.result.fleet import FAILED, MAY_RESUME, JobState
 from profiles.errors import Refused, UnknownName, UsageError
 
-__all__ = ["again", "begin", "chosen", "none_under_way", "only_runner", "resume"]
+__all__ = ["again", "ask_again", "begin", "chosen", "none_under_way", "only_runner", "resume"]
 
 _DIFFERENCES = 3  # shown
 
@@ -64,13 +65,19 @@ def _of(axis: PlannedAxis, key: str) -> str | None:
 def begin(fleet: Fleet, ledger: Ledger, names: Sequence[str]) -> str:
     """A new fleet run of these axes; returns its id."""
     run = ledger.begin(
-        fleet.name, fleet.path.resolve(), fleet.job, json.dumps(fleet.definition),
+        fleet.name, fleet.path.resolve(), fleet.job, json.dumps(_definition(fleet)),
         operator() or "", [one.name for one in fleet.axes],
     )  # fmt: skip
     for one in fleet.axes:
         if one.name not in names:
             ledger.move(run, one.name, 1, JobState.SKIPPED, why="not asked for (--only)")
     return run
+
+
+def _definition(fleet: Fleet) -> dict[str, object]:
+    """What was asked for, and where its gateways say that their axes are."""
+    told = {one.name: one.link for one in fleet.axes if one.gateway and one.link}
+    return {**fleet.definition, **({"told": told} if told else {})}
 
 
 @contextlib.contextmanager
@@ -95,8 +102,10 @@ def only_runner(fleet: Fleet) -> Generator[None]:
         lock.release()
 
 
-def none_under_way(fleet: Fleet, ledger: Ledger) -> None:
+def none_under_way(fleet: Fleet, ledger: Ledger, gateways: Elsewhere | None = None) -> None:
     """What an earlier runner has granted is revoked; what was started and is no more is unknown.
+
+    What was handed to a gateway stands as that says.
 
     Raises Refused while a process of it still moves an axis.
     """
@@ -104,17 +113,37 @@ def none_under_way(fleet: Fleet, ledger: Ledger) -> None:
         if row.state is JobState.GRANTED:
             ledger.revoke(run, row.axis, row.attempt, "its runner is gone")
     for run, row in ledger.left_open(fleet.path):
-        if row.is_alive:
+        record = ledger.record(run)
+        gateway = record.place(row.axis).gateway
+        if gateway is not None:
+            moves, whose = settle(gateways, ledger, record, row), f"on gateway '{gateway}'"
+        else:
+            moves, whose = row.is_alive, f"process {row.pid}"
+        if moves:
             raise Refused(
-                f"axis '{row.axis}' of fleet run {run} is still under way (process {row.pid}), "
+                f"axis '{row.axis}' of fleet run {run} is still under way ({whose}), "
                 "though its runner is gone",
                 code="run.in-progress",
                 hint="wait for it, or 'tworelay fleet stop'",
             )
+        if gateway is not None:
+            continue
         ledger.move(
             run, row.axis, row.attempt, JobState.UNKNOWN, given=(JobState.STARTED,),
             why="it was started, and its process is gone",
         )  # fmt: skip
+
+
+def ask_again(ledger: Ledger, record: FleetRecord, gateways: Elsewhere) -> None:
+    """Of what nobody knew how it had ended: its gateway may answer now. Raises Refused."""
+    for row in ledger.rows(record.id).values():
+        of_gateway = record.place(row.axis).gateway is not None
+        if of_gateway and row.state is JobState.UNKNOWN and settle(gateways, ledger, record, row):
+            raise Refused(
+                f"axis '{row.axis}' is still under way on its gateway",
+                code="run.in-progress",
+                hint="wait for it, or 'tworelay fleet stop'",
+            )
 
 
 def resume(fleet: Fleet, ledger: Ledger, run: str, names: Sequence[str]) -> tuple[str, ...]:
@@ -169,7 +198,9 @@ def _taken_over(fleet: Fleet, ledger: Ledger, run: str) -> dict[str, LedgerRow]:
         raise Refused(
             f"fleet run {run} is of {record.file}, and not of {fleet.path}", code="refused.changed"
         )
-    changed = list(differences(json.loads(record.definition), fleet.definition))
+    before = json.loads(record.definition)
+    before.pop("told", None)
+    changed = list(differences(before, fleet.definition))
     if changed:
         more = f" (and {len(changed) - _DIFFERENCES} more)" if changed[_DIFFERENCES:] else ""
         raise Refused(

@@ -11,9 +11,10 @@ from commissioning.errors import JournalError
 from commissioning.fleet.board import Board
 from commissioning.fleet.conductor import Conductor
 from commissioning.fleet.ledger import Ledger
+from commissioning.fleet.loading import load_fleet
 from commissioning.fleet.messages import Looked, Order, Report
 from commissioning.fleet.people import Answer, Ask
-from commissioning.fleet.plan import Fleet, load_fleet
+from commissioning.fleet.plan import Fleet
 from commissioning.fleet.serials import Pins
 from commissioning.fleet.taking_up import begin
 from commissioning.interruption import Interruption

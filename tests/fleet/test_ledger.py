@@ -11,7 +11,8 @@ import pytest
 
 from commissioning.errors import JournalError
 from commissioning.fleet.ledger import Ledger
-from commissioning.fleet.plan import Fleet, load_fleet
+from commissioning.fleet.loading import load_fleet
+from commissioning.fleet.plan import Fleet
 from commissioning.fleet.taking_up import none_under_way
 from commissioning.journal import Journal
 from commissioning.result.fleet import ENDED, Confirmed, FleetAxis, JobState, Outcome, Room

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from commissioning.cli.fleet.demo import demo_file
-from commissioning.fleet.plan import Fleet, differences, load_fleet
+from commissioning.fleet.loading import load_fleet
+from commissioning.fleet.plan import Fleet, differences
 from commissioning.fleet.taking_up import chosen
 from commissioning.fleet.twins import twins_of
 from commissioning.journal import Journal
@@ -22,6 +23,7 @@ from tests.command import in_this_process
 from tests.result.test_codec import recorded
 
 AXIS = '[[axes]]\nname = "{0}"\nlink = "virtual://bench?seed={1}"\n'
+NAMED = 'job = "identify"\n[[axes]]\nname = "x"\ngateway = "pc-a"\n'
 TWO = AXIS.format("a", 1) + AXIS.format("b", 2)
 HEAD = 'job = "identify"\nconfirm = "yes"\n'
 
@@ -60,7 +62,8 @@ BAD = {
     "a glob with a name": ('[[axes]]\nfile = "*.toml"\nname = "x"\n', "several axes", "name"),
     "neither file nor link": ('[[axes]]\nname = "x"\n', "needs a file, or a link", ""),
     "a link without a name": ('[[axes]]\nlink = "virtual://bench"\n', "needs a name", ""),
-    "no such gateway": (TWO + 'gateway = "pc-a"\n', "pc-a", ""),
+    "no such gateway": (NAMED, "pc-a", ""),
+    "described here, and by a gateway": (TWO + 'gateway = "pc-a"\n', "link", ""),
     "two baud rates": (
         ('[[axes]]\nname = "a"\nlink = "modbus-rtu:///dev/ttyUSB0?unit=1&baudrate=9600"\n'
         '[[axes]]\nname = "b"\nlink = "modbus-rtu:///dev/../dev/ttyUSB0?unit=2&baudrate=19200"\n'),

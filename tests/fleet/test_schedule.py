@@ -69,7 +69,7 @@ def test_nothing_starts_in_a_paused_zone_or_beside_one_that_is_late() -> None:
     tasks = [Task("in", zone="z"), Task("out"), Task("simulated", stepping=True)]
     begun = startable(tasks, [], (), BUSY, paused={"z"})
     assert {task.name for task in begun} == {"out", "simulated"}
-    late = startable(tasks, [], (), BUSY, late=True)
+    late = startable(tasks, [], (), BUSY, late={""})
     assert {task.name for task in late} == {"simulated"}
 
 

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from commissioning.fleet.plan import differences, load_fleet
+from commissioning.fleet.loading import load_fleet
+from commissioning.fleet.plan import differences
 from commissioning.fleet.taking_up import chosen
 from commissioning.recordings.files import table_of
 from commissioning.recordings.reading import read

@@ -17,6 +17,8 @@ _COMMANDS = {
     "status": "Where a fleet run is.",
     "stop": "End a fleet run: what moves is stopped.",
     "restore": "Finish what was cut off; put back what was written.",
+    "gateway": "Serve the axes of this computer to a fleet run on another.",
+    "keys": "Make the certificates of gateways and of those who may command them.",
     "report": "Write the pages and the acceptance record of a fleet run.",
 }
 

@@ -47,7 +47,7 @@ def command(
 
     Nothing is written to a drive, or moved.
     """
-    from commissioning.fleet.plan import load_fleet
+    from commissioning.fleet.loading import load_fleet
     from commissioning.fleet.running import FleetWishes
 
     check_json(json_target)
@@ -76,7 +76,7 @@ def looked_at(
         screen.say(f"  {name}: {said}")
 
     with Interruption() as interruption:
-        seen = check(plan, wishes, tell, interruption, screen.say, accept)
+        plan, seen = check(plan, wishes, tell, interruption, screen.say, accept)
     ready = tuple(one.name for one in plan.axes if one.name in seen and not seen[one.name].error)
     begins, seconds = expected(plan, ready, wishes.at_once)
     order = [*begins, *(name for name in seen if name not in begins)]

@@ -43,7 +43,7 @@ def command(
     Buses are shared as in the file, twins behave by its profiles; no drive is touched, and what
     comes of it lies apart, in the folder 'rehearsal' of the home.
     """
-    from commissioning.fleet.plan import load_fleet
+    from commissioning.fleet.loading import load_fleet
     from commissioning.fleet.running import FleetWishes
     from commissioning.fleet.twins import on_twins, twins_of
     from drivers.home import home

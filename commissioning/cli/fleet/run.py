@@ -74,7 +74,7 @@ def command(
     once more stops it.
     """
     from commissioning.cli.fleet.check import looked_at
-    from commissioning.fleet.plan import load_fleet
+    from commissioning.fleet.loading import load_fleet
     from commissioning.fleet.running import FleetWishes
 
     check_outputs(junit, json_target, csv_target)

@@ -1,0 +1,94 @@
+"""The axes of a gateway: the axis files of one folder of its own, and no others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from commissioning.ending import error_of
+from commissioning.fleet.file import Keys
+from commissioning.fleet.gateway.messages import FarAxis
+from commissioning.fleet.loading import axis_in
+from commissioning.fleet.plan import differences
+from commissioning.journal import Journal
+from drivers.link_text import is_simulated, parse
+from drivers.places import buses, same_place
+from profiles.axis import Axis, axis_name
+from profiles.errors import Refused, TwoRelayError, UnknownName, UsageError
+
+__all__ = ["AxisFolder"]
+
+_MOST = 1000  # files
+
+
+class AxisFolder:
+    """A folder of axis files, which are read anew each time: people change them."""
+
+    def __init__(self, folder: Path) -> None:
+        if not folder.is_dir():
+            raise UsageError(f"{folder}: is no folder with axis files")
+        self._folder = folder
+
+    def files(self) -> Mapping[str, Path]:
+        """Name → file: an axis of a gateway is called as its file is."""
+        found: dict[str, Path] = {}
+        for path in sorted(self._folder.glob("*.toml"))[:_MOST]:
+            try:
+                name = axis_name(path.stem)
+            except ValueError:
+                continue
+            found[name] = path
+        return found
+
+    def path(self, name: str) -> Path:
+        """File of an axis; raises UnknownName."""
+        files = self.files()
+        if name not in files:
+            raise UnknownName(f"axis of this gateway ({self._folder})", name, list(files))
+        return files[name]
+
+    def axis(self, name: str, below: Keys) -> Axis:
+        """An axis as its file says it, above the defaults of a fleet; raises UsageError."""
+        axis = axis_in(self.path(name), below)
+        return axis.model_copy(update={"name": name})
+
+    def tell(self, names: tuple[str, ...], below: Keys, home: Path) -> Iterator[FarAxis]:
+        """Each of these, as it is here."""
+        with Journal(home, reading=True) as journal:
+            for name in names:
+                try:
+                    axis = self.axis(name, below)
+                except TwoRelayError as error:
+                    yield FarAxis(name, error=error_of(error))
+                else:
+                    yield _told(axis, journal)
+
+    def check_same(self, name: str, below: Keys, confirmed: str) -> Axis:
+        """The axis, if it still is what was looked at and confirmed; raises Refused."""
+        axis = self.axis(name, below)
+        was = Axis.model_validate_json(confirmed)
+        changed = list(differences(_said(was), _said(axis)))
+        if changed:
+            raise Refused(
+                f"the file of axis '{name}' on its gateway differs from what was confirmed: "
+                f"{'; '.join(changed[:3])}",
+                code="refused.changed",
+                hint="look at it, and begin again",
+            )
+        return axis
+
+
+def _said(axis: Axis) -> dict[str, object]:
+    return axis.model_dump(mode="json", exclude_unset=True)
+
+
+def _told(axis: Axis, journal: Journal) -> FarAxis:
+    link = axis.link
+    assert link is not None
+    parsed = parse(link)
+    stepping = parsed.scheme == "virtual" or (parsed.is_stepping and is_simulated(link))
+    runs = journal.unfinished_on(lambda other: same_place(link, other))
+    return FarAxis(
+        axis.name, axis.as_said(), buses(link), stepping, is_simulated(link),
+        runs[0] if runs else None,
+    )  # fmt: skip

@@ -1,0 +1,30 @@
+"""Settings of drives are put back on the gateway that has them, by its own command."""
+
+from __future__ import annotations
+
+import subprocess
+
+from commissioning.fleet.gateway.messages import Restore, Restored
+from commissioning.processes import start
+
+__all__ = ["put_back"]
+
+_PATIENCE = 240.0  # s
+
+
+def put_back(asked: Restore) -> Restored:
+    """'tworelay fleet restore' of a fleet run; the client has asked whoever sits there."""
+    words = ["fleet", "restore", asked.run, "--yes"]
+    for axis in asked.axes:
+        words += ["--axis", axis]
+    words += ["--all"] if asked.everything and not asked.axes else []
+    words += ["--dry-run"] if asked.act == "show" else []
+    process = start(
+        "commissioning", *words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )  # fmt: skip
+    try:
+        said, _ = process.communicate(timeout=_PATIENCE)
+    except subprocess.TimeoutExpired:  # it goes on: half a write is worse than a late one
+        return Restored(7, (f"still under way after {_PATIENCE:.0f} s on the gateway",))
+    return Restored(process.returncode, tuple(said.decode("utf-8", "replace").splitlines()))

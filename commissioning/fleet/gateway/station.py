@@ -1,0 +1,382 @@
+"""What a gateway does for its clients: it looks, offers, starts at most once, stops and tells.
+
+No engine is known here: a request comes as text, and so goes the answer. What an engine may do to
+them – deliver one twice, late, or never – moves nothing twice: a job begins by a nonce that is good
+once, and by a row of the ledger of this computer that can be inserted once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import platform
+import secrets
+import sys
+import threading
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from commissioning.ending import tool
+from commissioning.errors import JournalError
+from commissioning.fleet.crew import Crew, Worker
+from commissioning.fleet.file import Keys
+from commissioning.fleet.gateway.folder import AxisFolder
+from commissioning.fleet.gateway.messages import (
+    PROTOCOL,
+    Ask,
+    Axes,
+    Chunk,
+    Going,
+    Greeting,
+    News,
+    Offer,
+    Offered,
+    Part,
+    Refusal,
+    Restore,
+    Restored,
+    Since,
+    Start,
+    Started,
+    Stop,
+    Stopped,
+    Which,
+    kinds,
+)
+from commissioning.fleet.gateway.news import Newsroom
+from commissioning.fleet.gateway.parcels import Parcels
+from commissioning.fleet.gateway.putting_back import put_back
+from commissioning.fleet.ledger import Ledger, LedgerRow
+from commissioning.fleet.messages import Order, Report
+from commissioning.fleet.stopping import interrupt
+from commissioning.processes import clock
+from commissioning.result.fleet import JobState
+from commissioning.result.fleet_codec import json_of, of_json
+from drivers.link_text import is_simulated, parse
+from profiles.axis import Axis
+from profiles.errors import Refused, TwoRelayError, UsageError
+
+__all__ = ["GOOD_FOR", "Station"]
+
+GOOD_FOR = 30.0  # s: an offer, by the clock of the gateway
+_CLEAN = JobState.DONE, JobState.NOT_HELPED, JobState.REJECTED, JobState.REFUSED
+
+
+class _Offered(NamedTuple):
+    """A job that may be started, until `until`; `confirmed`: SHA-256 of what was confirmed."""
+
+    offer: Offer
+    until: float
+    confirmed: str
+
+
+@dataclass(frozen=True, slots=True)
+class _At:
+    """What a process is at."""
+
+    run: str
+    order: Order
+    stepping: bool
+
+
+class Station:
+    """The gateway `name`: the axes of a folder, the ledger of a home, a crew.
+
+    Raises nothing: `handle` answers with what was refused, too. `clock`: s, which nobody sets.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        folder: AxisFolder,
+        home: Path,
+        crew: Crew,
+        clock: Callable[[], float] = clock,
+        on_news: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.life = secrets.token_hex(8)
+        self.name = name
+        self.is_closing = False
+        self._folder, self._home, self._crew, self._clock = folder, home, crew, clock
+        self._news = Newsroom(self.life, on_news)
+        self._parcels = Parcels(home)
+        self._offers: dict[str, _Offered] = {}
+        self._at: dict[Worker, _At] = {}
+        self._lock = threading.Lock()  # of offers, workers and what they are at
+        self._verbs: dict[str, Callable[[Any], object]] = {
+            "hello": self._hello, "look": self._look, "offer": self._offer, "start": self._start,
+            "settle": self._settle, "stop": self._stop, "news": self._tell, "fetch": self._fetch,
+            "restore": self._restore,
+        }  # fmt: skip
+
+    def handle(self, verb: str, text: str) -> str:
+        """The answer to a request: '+' and what it asks for, or '-' and why not."""
+        try:
+            if verb not in self._verbs:
+                raise Refused(f"gateway '{self.name}' knows no '{verb}'", code="gateway.version")
+            try:
+                asked = of_json(text, kinds()[verb])
+            except ValueError as error:
+                raise Refused(
+                    f"gateway '{self.name}' does not understand '{verb}': {error}",
+                    code="gateway.version", hint="install one version on both computers",
+                ) from None  # fmt: skip
+            return "+" + json_of(self._verbs[verb](asked))
+        except TwoRelayError as error:
+            return "-" + json_of(Refusal(error.code, error.text, error.exit_code, error.hint))
+        except Exception as error:
+            traceback.print_exc(file=sys.stderr)
+            text = f"internal error on gateway '{self.name}' ({type(error).__name__}: {error})"
+            return "-" + json_of(Refusal("internal", text, 1))
+
+    # -- who is there -----------------------------------------------------------------------------
+
+    def _hello(self, ask: Ask) -> Axes:
+        if ask.protocol != PROTOCOL:
+            raise Refused(
+                f"gateway '{self.name}' has tworelay {tool().version} (messages {PROTOCOL}), this "
+                f"computer {ask.version} (messages {ask.protocol})",
+                code="gateway.version",
+                hint="install one version on both",
+            )
+        found = tuple(self._folder.tell(ask.axes, _below(ask.below), self._home))
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+        greeting = Greeting(
+            PROTOCOL, tool().version, self.name, platform.node(), self.life, cores or 1
+        )
+        return Axes(greeting, found)
+
+    # -- looking, offering, starting ---------------------------------------------------------------
+
+    def _look(self, part: Part) -> Started:
+        self._check_open()
+        axis = self._folder.check_same(part.order.name, _below(part.below), part.order.axis)
+        return Started(self._put_to_work(part.run, part.order, axis, anew=False))
+
+    def _offer(self, offer: Offer) -> Offered:
+        self._check_open()
+        order = offer.order
+        self._folder.check_same(order.name, _below(offer.below), order.axis)
+        now = self._clock()
+        with self._lock:
+            self._offers = {key: one for key, one in self._offers.items() if one.until > now}
+            others = [one.offer for one in self._offers.values() if one.offer.run != offer.run]
+        with Ledger(self._home) as ledger:
+            moving = ledger.moving()
+            known = ledger.row(offer.run, order.name, order.attempt)
+        for run, row in moving:
+            if run != offer.run or row.axis == order.name:
+                raise self._is_taken(run, row.axis)
+        for other in others:
+            raise self._is_taken(other.run, other.order.name)
+        if known is not None:
+            raise Refused(
+                f"attempt {order.attempt} at axis '{order.name}' is {known.state} on gateway "
+                f"'{self.name}' already",
+                code="gateway.once",
+            )
+        nonce = secrets.token_hex(16)
+        with self._lock:
+            self._offers[nonce] = _Offered(offer, now + GOOD_FOR, _hash(order))
+        return Offered(nonce)
+
+    def _is_taken(self, run: str, axis: str) -> Refused:
+        return Refused(
+            f"gateway '{self.name}' has axis '{axis}' under way for fleet run {run}",
+            code="run.in-progress",
+            hint="wait until it has ended: one fleet run at a time moves what a gateway has",
+        )
+
+    def _start(self, start: Start) -> Started:
+        self._check_open()
+        now = self._clock()
+        with self._lock:
+            offered = self._offers.pop(start.nonce, None)
+        if offered is None or offered.until < now:
+            raise Refused(
+                f"gateway '{self.name}' has no such offer: it came too late, twice, or was made "
+                "before the gateway was started anew",
+                code="gateway.nonce",
+            )
+        offer, order = offered.offer, offered.offer.order
+        axis = self._folder.check_same(order.name, _below(offer.below), order.axis)
+        with Ledger(self._home) as ledger:
+            ledger.host(
+                offer.run, start.fleet or offer.run, f"of {start.host or 'another computer'}",
+                order.job, (start.host, start.operator),
+            )  # fmt: skip
+            granted = ledger.admit(
+                offer.run, order.name, order.attempt, JobState.GRANTED,
+                f"confirmed as {offered.confirmed[:16]}", order.confirmed, order.options.serial,
+            )  # fmt: skip
+        if not granted:
+            raise Refused(
+                f"attempt {order.attempt} at axis '{order.name}' was begun already",
+                code="gateway.once",
+            )
+        try:
+            return Started(self._put_to_work(offer.run, order, axis, anew=not _stepping(axis)))
+        except OSError as error:
+            with Ledger(self._home) as ledger:
+                ledger.revoke(offer.run, order.name, order.attempt, str(error))
+            raise Refused(f"no process could be started: {error}", code="gateway.process") from None
+
+    def _put_to_work(self, run: str, order: Order, axis: Axis, *, anew: bool) -> int:
+        own = replace(order, fleet_run=run, axis=axis.as_said(), gateway="")
+        with self._lock:
+            worker = self._crew.order(own, anew=anew)
+            self._at[worker] = _At(run, own, _stepping(axis))
+        return worker.pid
+
+    def _check_open(self) -> None:
+        if self.is_closing:
+            raise Refused(f"gateway '{self.name}' is being ended", code="gateway.closing")
+
+    # -- how it stands, and its end ----------------------------------------------------------------
+
+    def _settle(self, which: Which) -> Going:
+        with self._lock:
+            mine = any(
+                at.run == which.run and at.order.name == which.axis
+                and at.order.attempt == which.attempt and at.order.act == "job"
+                for at in self._at.values()
+            )  # fmt: skip
+        with Ledger(self._home) as ledger:
+            row = _settled(ledger, which, mine=mine)
+        alive = mine or row.is_alive
+        return Going(row.axis, row.attempt, row.state, alive, row.outcome, row.why)
+
+    def _stop(self, stop: Stop) -> Stopped:
+        with self._lock:
+            self._offers = {
+                key: one for key, one in self._offers.items() if not _is_of(stop, one.offer)
+            }
+            at_work = [(worker, at) for worker, at in self._at.items() if _is_of(stop, at)]
+        for worker, _ in at_work:
+            worker.interrupt()
+        told = [at.order.name for _, at in at_work]
+        with Ledger(self._home, reading=True) as ledger:  # of an earlier life of this gateway
+            left = [row for run, row in ledger.moving() if run == stop.run]
+        for row in left:
+            if row.axis not in told and stop.axis in ("", row.axis):
+                with contextlib.suppress(OSError):
+                    interrupt(row)
+                    told.append(row.axis)
+        return Stopped(tuple(told))
+
+    def _tell(self, since: Since) -> News:
+        return self._news.since(since)
+
+    def _fetch(self, chunk: Chunk) -> Chunk:
+        return self._parcels.chunk(chunk)
+
+    def _restore(self, restore: Restore) -> Restored:
+        with Ledger(self._home, reading=True) as ledger:
+            for run, row in ledger.moving():
+                raise self._is_taken(run, row.axis)
+            known = ledger.knows(restore.run)
+        return put_back(restore) if known else Restored(0, ("nothing to restore",))
+
+    # -- what the processes say --------------------------------------------------------------------
+
+    def hear(self, seconds: float) -> bool:
+        """Take in the next thing that a process says; False: nothing in so long."""
+        heard = self._crew.hear(seconds)
+        if heard is None:
+            return False
+        worker, report = heard
+        with self._lock:
+            at = self._at.get(worker)
+            if report is None:
+                self._at.pop(worker, None)
+                self._crew.buried(worker)
+            elif at is not None and report.kind in ("looked", "ended", "void"):
+                self._at.pop(worker)
+                self._take_back(worker, at, report)
+        if at is None:
+            return True
+        if report is None:
+            report = self._of_dead(at)
+        self._news.add(at.run, at.order.name, at.order.attempt, report)
+        return True
+
+    def _take_back(self, worker: Worker, at: _At, report: Report) -> None:
+        ended = report.kind == "ended" and report.outcome is not None and report.state in _CLEAN
+        if report.kind == "looked" or (ended and at.stepping):
+            self._crew.take_back(worker)
+        else:
+            self._crew.let_go(worker)
+
+    def _of_dead(self, at: _At) -> Report:
+        """What is told of an axis whose process died."""
+        if at.order.act == "look":
+            return Report("looked", text="the process that looked at it ended without a word")
+        which = Which(at.run, at.order.name, at.order.attempt, at.order.job)
+        try:
+            with Ledger(self._home) as ledger:
+                row = _settled(ledger, which, mine=False)
+        except JournalError as error:
+            return Report("ended", text=str(error), state=JobState.UNKNOWN)
+        if row.state is JobState.REVOKED:
+            return Report("void", text=row.why)
+        return Report("ended", text=row.why, state=row.state, outcome=row.outcome)
+
+    def interrupt(self) -> None:
+        """Whoever sits at the gateway wants all of it stopped."""
+        with self._lock:
+            workers = list(self._at)
+        for worker in workers:
+            worker.interrupt()
+
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """Axes that have a process of this life."""
+        with self._lock:
+            return tuple(at.order.name for at in self._at.values() if at.order.act == "job")
+
+
+def _settled(ledger: Ledger, which: Which, *, mine: bool) -> LedgerRow:
+    """An attempt as it stands; what was not started yet never will be, unless it is `mine`."""
+    of_it = which.run, which.axis, which.attempt
+    if ledger.row(*of_it) is None:
+        ledger.host(which.run, which.run, "of another computer", which.job, ("", ""))
+        ledger.admit(*of_it, JobState.REVOKED, "it was never started")
+    row = ledger.row(*of_it)
+    if row is not None and row.state is JobState.GRANTED and not mine:
+        ledger.revoke(*of_it, "its process ended before it started")
+        row = ledger.row(*of_it)
+    if row is not None and row.state is JobState.STARTED and not (mine or row.is_alive):
+        ledger.move(
+            *of_it, JobState.UNKNOWN, given=(JobState.STARTED,),
+            why="it was started, and its process is gone",
+        )  # fmt: skip
+        row = ledger.row(*of_it)
+    assert row is not None
+    return row
+
+
+def _is_of(stop: Stop, one: Offer | _At) -> bool:
+    return one.run == stop.run and stop.axis in ("", one.order.name)
+
+
+def _below(text: str) -> Keys:
+    """Defaults of a fleet file, as they were sent; raises UsageError."""
+    try:
+        return Keys.model_validate_json(text)
+    except ValueError as error:
+        raise UsageError(f"the defaults of the fleet file are not understood: {error}") from None
+
+
+def _stepping(axis: Axis) -> bool:
+    assert axis.link is not None
+    link = parse(axis.link)
+    return link.scheme == "virtual" or (link.is_stepping and is_simulated(axis.link))
+
+
+def _hash(order: Order) -> str:
+    """Of what was confirmed: the axis, what is asked of it, and the room that it has."""
+    return hashlib.sha256(json_of(order).encode()).hexdigest()

@@ -17,12 +17,12 @@ from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from commissioning.watching import NOBODY, Watcher
 from drivers.home import home
-from profiles.errors import TwoRelayError, UsageError
+from profiles.errors import Refused, TwoRelayError, UsageError
 
 if TYPE_CHECKING:
     from commissioning.result.document import RunResult
 
-__all__ = ["act_on", "at_desk", "check_json", "write_json"]
+__all__ = ["act_on", "at_desk", "check_json", "on_this_computer", "write_json"]
 
 
 @contextlib.contextmanager
@@ -40,6 +40,24 @@ def at_desk(
 
 def _journal(*, to_stop: bool) -> Journal:
     return Journal.empty() if to_stop else Journal(home())
+
+
+def on_this_computer(run: str, link: str | None) -> None:
+    """Raises Refused where the drive of a run is on a gateway, and no `link` leads to it."""
+    from commissioning.fleet.ledger import Ledger
+
+    if link is not None:
+        return
+    with Ledger(home(), reading=True) as ledger:
+        found = ledger.gateway_of(run)
+    if found is not None:
+        fleet_run, axis, gateway = found
+        raise Refused(
+            f"the drive of run {run} is on gateway '{gateway}'",
+            code="run.on-gateway",
+            hint=f"'tworelay fleet restore {fleet_run} --axis {axis}' puts its values back there; "
+            f"for anything else go to {gateway}",
+        )
 
 
 @contextlib.contextmanager

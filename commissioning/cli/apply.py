@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from commissioning.cli.acting import act_on, at_desk, check_json, write_json
+from commissioning.cli.acting import act_on, at_desk, check_json, on_this_computer, write_json
 from commissioning.cli.helping import Helpful
 from commissioning.cli.junit import junit_option
 from commissioning.cli.options import verbose
@@ -42,6 +42,7 @@ def command(
 
     check_json(json_target)
     screen = Screen(json_target, yes=yes)
+    on_this_computer(run, link)
     result = write(run, link, screen, json_target, gains)
     write_json(result, json_target)
     show.in_the_drive(result, screen)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from commissioning.cli.acting import act_on, at_desk
+from commissioning.cli.acting import act_on, at_desk, on_this_computer
 from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.terminal import Screen
@@ -34,6 +34,7 @@ def command(run: str | None, link: str | None, force: bool, dry_run: bool, yes: 
         if run_id is None:
             screen.say("nothing to restore")
             return
+        on_this_computer(run_id, link)
         with act_on(run_id, desk, screen, None):
             outcome = restore(
                 run_id, link, desk, force=force, dry_run=dry_run,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from commissioning.cli.acting import act_on, at_desk, check_json, write_json
+from commissioning.cli.acting import act_on, at_desk, check_json, on_this_computer, write_json
 from commissioning.cli.helping import Helpful
 from commissioning.cli.job import CYCLE
 from commissioning.cli.junit import junit_option
@@ -68,6 +68,7 @@ def command(
     check_json(json_target)
     screen = Screen(json_target, yes=yes)
     wishes = Wishes(travel, max_speed, cycle, without_watchdog)
+    on_this_computer(run, link)
     if check_only:
         _look_again(run, link, screen, json_target, wishes)
         return

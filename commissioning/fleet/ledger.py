@@ -45,6 +45,11 @@ class Place(NamedTuple):
     zone: str | None
     gateway: str | None
 
+    @property
+    def where(self) -> str:
+        """The link, and on which computer it is."""
+        return f"{self.gateway}: {self.link}" if self.gateway and self.link else self.link
+
 
 @dataclass(frozen=True, slots=True)
 class FleetRecord:
@@ -326,6 +331,18 @@ class Ledger(OpenJournal):
                 (why, run, axis, attempt),
             )
             self._tell(db, run, axis, attempt, why)
+
+    def gateway_of(self, run: str) -> tuple[str, str, str] | None:
+        """Of a run that was fetched: its fleet run, axis and gateway."""
+        with self._errors():
+            rows = self._db.execute(
+                "SELECT fleet_run, axis FROM fleet_axes WHERE run=? ORDER BY rowid DESC", (run,)
+            ).fetchall()
+        for row in rows:
+            gateway = self.record(row["fleet_run"]).place(row["axis"]).gateway
+            if gateway is not None:
+                return str(row["fleet_run"]), str(row["axis"]), gateway
+        return None
 
     # -- of other computers' runs, on a gateway ---------------------------------------------------
 

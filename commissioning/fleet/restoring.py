@@ -51,8 +51,8 @@ def left_by(
             raise UnknownName(f"axis of fleet run {record.id}", name, known)
     found: dict[str, Left] = {}
     for row in reversed(attempts):
-        if axes and row.axis not in axes:
-            continue
+        if (axes and row.axis not in axes) or record.place(row.axis).gateway is not None:
+            continue  # another computer has its drive, and what it has left there
         written = everything or bool(axes)
         for one in _runs_of(row, journal, others=not written):
             whole = written or row.state in _CUT_OFF

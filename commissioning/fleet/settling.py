@@ -32,8 +32,19 @@ class Stands(Protocol):
         """Why it is not done."""
 
 
+class Told(Protocol):
+    """Axes whose processes were told to stop."""
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """By name."""
+
+
 class Elsewhere(Protocol):
     """The gateways of a fleet."""
+
+    def stop(self, gateway: str, key: str) -> Told:
+        """Have all stopped that runs there for a fleet run; raises TwoRelayError."""
 
     def settle(self, gateway: str, key: str, row: LedgerRow, job: FleetJob) -> Stands:
         """How an attempt stands there; not started: it never will be. Raises TwoRelayError."""

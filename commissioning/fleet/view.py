@@ -50,7 +50,7 @@ def ways_on(result: FleetResult) -> tuple[str, ...]:
     again = f"tworelay fleet run {result.file}"
     lines = [
         f"'{one.name}': NOT VERIFIED that it is at rest: look at it, the emergency stop in reach; "
-        f"'tworelay stop \"{one.link}\"', then 'tworelay fleet restore'"
+        f"{_stop(one)}, then 'tworelay fleet restore'"
         for one in result.in_doubt
     ]
     if any(one.outcome and not one.outcome.put_back for one in result.axes):
@@ -62,6 +62,13 @@ def ways_on(result: FleetResult) -> tuple[str, ...]:
     if blocked := result.count(JobState.BLOCKED):
         lines.append(f"{blocked} blocked: when what is in the way is done, '{again} --resume'")
     return tuple(lines)
+
+
+def _stop(one: FleetAxis) -> str:
+    gateway, mark, link = one.link.partition(": ")
+    if mark:
+        return f"'tworelay fleet stop' here, or 'tworelay stop \"{link}\"' on {gateway}"
+    return f"'tworelay stop \"{one.link}\"'"
 
 
 def not_begun(fleet: Fleet, why: str, tool: Tool | None) -> FleetResult:
@@ -82,7 +89,8 @@ def by_the_ledger(
     """A fleet run as its ledger has it now, and its drives by the `journal`."""
     record = ledger.record(run)
     rows = ledger.rows(record.id)
-    axes = [_axis(row, record.place(row.axis), journal) for row in rows.values()]
+    led = record.is_alive
+    axes = [_axis(row, record.place(row.axis), journal, led=led) for row in rows.values()]
     over = record.state in (FleetState.FINISHED, FleetState.STOPPED)
     notes: tuple[str, ...] = ()
     state = record.state
@@ -98,17 +106,19 @@ def by_the_ledger(
     return view(record, axes, state, tool, notes=notes, rehearsed=record.rehearsed)
 
 
-def _axis(row: LedgerRow, place: Place, journal: Journal | None) -> FleetAxis:
+def _axis(row: LedgerRow, place: Place, journal: Journal | None, *, led: bool) -> FleetAxis:
+    """`led` : its runner is there, which hears of what is on gateways."""
     state, why = row.state, row.why
-    if state is JobState.STARTED and not row.is_alive:
-        state, why = JobState.UNKNOWN, _GONE
+    elsewhere = place.gateway is not None
+    if state is JobState.STARTED and not (led if elsewhere else row.is_alive):
+        state, why = JobState.UNKNOWN, row.why if elsewhere else _GONE
     outcome = row.outcome
-    if outcome is not None and journal is not None:
+    if outcome is not None and journal is not None and not elsewhere:
         outcome = outcome_now(outcome, journal)
         if row.outcome and row.outcome.written and not outcome.written:
             why = f"{why}; its values were put back since".removeprefix("; ")
     return FleetAxis(
-        row.axis, state, row.attempt, place.link, place.group, place.zone,
+        row.axis, state, row.attempt, place.where, place.group, place.zone,
         row.serial or None, why=why, confirmed=row.confirmed, began=iso(row.began),
         ended=iso(row.at) if state in ENDED else None, outcome=outcome,
     )  # fmt: skip

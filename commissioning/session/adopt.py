@@ -56,10 +56,20 @@ class Adopted:
     notes: tuple[str, ...]
 
 
-def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted], None]) -> str:
+def adopt(
+    path: Path,
+    profile: str | None,
+    desk: Desk,
+    show: Callable[[Adopted], None],
+    *,
+    just_ended: bool = False,
+) -> str:
     """Take in the exported run in `path`, unless it is known; returns its id.
 
-    `profile` : name or file of the drive's profile, where none of that name is built in
+    Parameters
+    ----------
+    profile : name or file of the drive's profile, where none of that name is built in
+    just_ended : it was measured for us, so that what it has written is in its drive
 
     Raises UsageError, Refused.
     """
@@ -123,7 +133,8 @@ def adopt(path: Path, profile: str | None, desk: Desk, show: Callable[[Adopted],
         "it was not taken in",
     )
     context = replace(record.context, axis=axis.model_copy(update={"name": called}).as_said())
-    result = replace(result, run=here, axis=called, written=())
+    written = result.written if just_ended else ()
+    result = replace(result, run=here, axis=called, written=written)
     target.save(result, samples, source_text(name))
     taken = replace(record, id=here, axis=called, context=context)
     return desk.journal.adopt(replace(history, run=taken), notes)

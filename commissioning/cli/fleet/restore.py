@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import click
 
@@ -12,6 +14,9 @@ from commissioning.cli.options import verbose
 from commissioning.cli.output import say
 from commissioning.cli.terminal import Screen
 from profiles.errors import TwoRelayError, UsageError
+
+if TYPE_CHECKING:
+    from commissioning.fleet.ledger import FleetRecord
 
 __all__ = ["command"]
 
@@ -35,6 +40,7 @@ def command(
     """
     from commissioning.cli import show
     from commissioning.ending import of_run
+    from commissioning.fleet.afar import on_gateways
     from commissioning.fleet.ledger import Ledger
     from commissioning.fleet.restoring import left_by
     from commissioning.session.restore import restore
@@ -46,9 +52,14 @@ def command(
     failed = []
     with Ledger(home(), reading=True) as ledger, at_desk(screen) as desk:
         found = left_by(ledger, desk.journal, run, axes, everything=everything)
-        if not found:
+        record = ledger.record(run)
+        elsewhere = on_gateways(record, ledger, axes)
+        if not found and not elsewhere:
             screen.say("nothing to restore")
             return
+        failed += _on_gateways(
+            record, elsewhere, bool(axes) or everything, screen, force=force, dry_run=dry_run
+        )
         for left in found:
             screen.say(f"{left.axis}:")
             try:
@@ -58,7 +69,7 @@ def command(
                         show=lambda rows, drive: show.going_back(rows, drive, screen),
                     )  # fmt: skip
             except TwoRelayError as error:
-                if error.exit_code >= 128 or len(found) == 1:
+                if error.exit_code >= 128 or (len(found) == 1 and not elsewhere):
                     raise
                 say(f"tworelay: {left.axis}: {error}", err=True)
                 failed.append(left.axis)
@@ -69,3 +80,34 @@ def command(
     if failed:
         say(f"tworelay: not restored: {', '.join(dict.fromkeys(failed))}", err=True)
         sys.exit(_SOME)
+
+
+def _on_gateways(
+    record: FleetRecord, axes: dict[str, list[str]], everything: bool, screen: Screen, *,
+    force: bool, dry_run: bool,
+) -> list[str]:  # fmt: skip
+    """What is on other computers is shown, agreed to, and put back there; returns what was not."""
+    from commissioning.fleet.afar import put_back_on, reach
+    from commissioning.fleet.gateway.messages import Restore
+
+    if not axes:
+        return []
+    failed = []
+    with reach(record) as gateways:
+        for gateway, names in axes.items():
+            asked = Restore(record.key, tuple(names), "show", everything, force)
+            screen.say(f"on gateway '{gateway}':")
+            shown = put_back_on(gateways, gateway, asked)
+            for line in shown.lines:
+                screen.say(f"  {line}")
+            if shown.lines == ("nothing to restore",) or dry_run:
+                continue
+            question = f"The values above will be WRITTEN on gateway '{gateway}'."
+            if shown.exit_code or not screen.confirm(question, gateway):
+                failed += names
+                continue
+            done = put_back_on(gateways, gateway, replace(asked, act="do"))
+            for line in done.lines:
+                screen.say(f"  {line}")
+            failed += names if done.exit_code else []
+    return failed

@@ -20,12 +20,14 @@ def command(run: str, as_json: bool) -> None:
     """Where the fleet run ID is, by its ledger (default: the last)."""
     from commissioning.cli.fleet.screen import final_table
     from commissioning.ending import tool
+    from commissioning.fleet.afar import bring_up_to_date
     from commissioning.fleet.ledger import Ledger
     from commissioning.fleet.view import by_the_ledger
     from commissioning.journal import Journal
     from commissioning.result.fleet_codec import fleet_text
     from drivers.home import home
 
+    left = list(bring_up_to_date(run))
     with Ledger(home(), reading=True) as ledger, Journal(home(), reading=True) as journal:
         result = by_the_ledger(ledger, run, tool(), journal)
     if as_json:
@@ -34,5 +36,5 @@ def command(run: str, as_json: bool) -> None:
     screen = Screen(None, yes=True)
     final_table(result, screen)
     screen.say(f"fleet run {result.fleet_run} of {result.file}")
-    for note in result.notes:
+    for note in (*left, *result.notes):
         screen.say(note)

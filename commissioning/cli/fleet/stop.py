@@ -18,11 +18,12 @@ __all__ = ["command"]
 def command(run: str | None, drain: bool) -> None:
     """End fleet run ID (default: all under way): what moves is stopped, nothing more starts.
 
-    Where its runner is gone, the processes that still move its axes are told.
+    Where its runner is gone, the processes that still move its axes are told, and its gateways.
     """
+    from commissioning.fleet.afar import reach
     from commissioning.fleet.stopping import stop_runs
     from drivers.home import home
 
     screen = Screen(None, yes=True)
-    for line in stop_runs(home(), run, drain=drain):
+    for line in stop_runs(home(), run, reach, drain=drain):
         screen.say(line)

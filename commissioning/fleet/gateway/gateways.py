@@ -240,4 +240,4 @@ def _adopted(data: bytes) -> str:
     ):
         unpack(data, Path(folder))
         desk = Desk(journal, interruption, lambda _: None, lambda _question, _word: True)
-        return adopt(Path(folder), None, desk, lambda _: None)
+        return adopt(Path(folder), None, desk, lambda _: None, just_ended=True)

@@ -246,14 +246,16 @@ class Restore:
 
     Attributes
     ----------
-    everything : also what was written for good
     act : names what would be written, or writes it
+    everything : also what was written for good
+    force : also over values that somebody changed since
     """
 
     run: str
     axes: tuple[str, ...]
     act: Literal["show", "do"]
     everything: bool = False
+    force: bool = False
 
 
 @dataclass(frozen=True, slots=True)

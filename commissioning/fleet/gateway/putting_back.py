@@ -15,9 +15,10 @@ _PATIENCE = 240.0  # s
 def put_back(asked: Restore) -> Restored:
     """'tworelay fleet restore' of a fleet run; the client has asked whoever sits there."""
     words = ["fleet", "restore", asked.run, "--yes"]
-    for axis in asked.axes:
-        words += ["--axis", axis]
-    words += ["--all"] if asked.everything and not asked.axes else []
+    if asked.everything:
+        for axis in asked.axes:
+            words += ["--axis", axis]
+    words += ["--force"] if asked.force else []
     words += ["--dry-run"] if asked.act == "show" else []
     process = start(
         "commissioning", *words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,

@@ -7,7 +7,7 @@ from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
 
 from commissioning.fleet.gateway.gateways import Gateways
-from commissioning.fleet.gateway.messages import Restore, Restored
+from commissioning.fleet.gateway.messages import PutBack, Restore
 from commissioning.fleet.ledger import FleetRecord, Ledger
 from commissioning.fleet.loading import load_fleet
 from commissioning.fleet.running import met
@@ -63,9 +63,9 @@ def on_gateways(record: FleetRecord, ledger: Ledger, axes: Sequence[str]) -> dic
     return found
 
 
-def put_back_on(gateways: Gateways, gateway: str, asked: Restore) -> Restored:
+def put_back_on(gateways: Gateways, gateway: str, asked: Restore) -> PutBack:
     """What a fleet run has left on one gateway, shown or put back; what it cannot is told."""
     try:
         return gateways.restore(gateway, asked)
     except TwoRelayError as error:
-        return Restored(error.exit_code, (str(error),))
+        return PutBack(error.exit_code, (str(error),))

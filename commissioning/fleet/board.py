@@ -132,13 +132,14 @@ class Board:
         if granted:
             one.state = JobState.GRANTED
             one.began, one.moving_at, one.late = time.time(), 0.0, 0.0
+        if granted and one.planned.gateway is not None:
+            return self._hand_over(one, one.planned.gateway)
         return granted
 
-    def hand_over(self, one: Standing) -> bool:
+    def _hand_over(self, one: Standing, gateway: str) -> bool:
         """Leave it to its gateway whether it is started; False: it must not be sent there."""
-        assert one.planned.gateway is not None
         try:
-            if self._ledger.hand_over(self.run, one.name, one.attempt, one.planned.gateway):
+            if self._ledger.hand_over(self.run, one.name, one.attempt, gateway):
                 return True
             self._learn(one, "it was not to be handed over")
         except JournalError as error:

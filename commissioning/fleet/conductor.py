@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import replace
 from datetime import datetime
 from functools import partial
 
@@ -266,9 +265,9 @@ class Conductor:
                 self._people.withdraw()
             return
         self._people.tell(f"{demand.who}: what runs is stopped")
+        workers = self._crew.at_work()
         for one in self._running():
-            worker = self._workers.get(one.name)
-            if worker is not None:
+            if (worker := workers.get(one.name)) is not None:
                 worker.interrupt()
 
     def _what_runs(self) -> str:
@@ -284,10 +283,6 @@ class Conductor:
         """Let nothing more start."""
         if self._demand.raised(Level.DRAIN, why):
             self._people.tell(f"{why}: {self._what_runs()}nothing more starts")
-
-    @property
-    def _workers(self) -> dict[str, Worker]:
-        return self._crew.at_work()
 
     def _ask(self, text: str, word: str, then: Callable[[Answer], None]) -> None:
         """One question at a time; `then` gets what becomes of it."""
@@ -368,11 +363,9 @@ class Conductor:
 
     def _begin(self, one: Standing) -> None:
         assert one.looked is not None
-        order = order_of(self.fleet, one.planned, "job", self.board.run, one.attempt)
-        options = replace(order.options, serial=one.looked.serial)
-        order = replace(order, room=one.looked.room, options=options, confirmed=one.confirmed)
-        if one.planned.gateway is not None and not self.board.hand_over(one):
-            return
+        order = order_of(
+            self.fleet, one.planned, "job", self.board.run, one.attempt, one.looked, one.confirmed
+        )
         self._crew.order(order, anew=not one.planned.is_stepping)
 
     def _expect(self, *, only_running: bool = False) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Literal
 
 from commissioning.ending import error_of
 from commissioning.fleet.crew import Crew
@@ -15,7 +16,7 @@ from commissioning.fleet.schedule import Rules, Share, Task, startable
 from commissioning.fleet.serials import Pins, misplaced
 from commissioning.journal import Journal
 from commissioning.result.endings import Error
-from commissioning.result.fleet import JobState
+from commissioning.result.fleet import Confirmed, JobState
 from drivers.places import same_place
 from profiles.identity import NO_SERIAL
 
@@ -61,14 +62,24 @@ def task_of(axis: PlannedAxis, seconds: float) -> Task:
     )  # fmt: skip
 
 
-def order_of(fleet: Fleet, axis: PlannedAxis, act: str, run: str, attempt: int) -> Order:
-    """What a worker gets to hear of an axis."""
+def order_of(
+    fleet: Fleet,
+    axis: PlannedAxis,
+    act: Literal["look", "job"],
+    run: str,
+    attempt: int,
+    looked: Looked | None = None,
+    confirmed: Confirmed | None = None,
+) -> Order:
+    """What a worker gets to hear of an axis; of one that is to move what was seen and confirmed."""
     assert axis.axis is not None
+    said = axis.axis.as_said() if axis.gateway else axis.axis.model_dump_json()
+    options, room = axis.options, None
+    if looked is not None:
+        options, room = replace(options, serial=looked.serial), looked.room
     return Order(
-        "look" if act == "look" else "job", run, axis.name, attempt, fleet.job,
-        axis.axis.as_said() if axis.gateway else axis.axis.model_dump_json(), axis.options,
-        gateway=axis.gateway or "",
-    )  # fmt: skip
+        act, run, axis.name, attempt, fleet.job, said, options, room, axis.gateway or "", confirmed
+    )
 
 
 def look_at_all(

@@ -16,11 +16,11 @@ from drivers.link_text import is_simulated, parse
 from profiles.axis import Axis
 from profiles.errors import TwoRelayError, UnknownName
 
-__all__ = ["Far", "Fleet", "PlannedAxis", "differences"]
+__all__ = ["AtGateway", "Fleet", "PlannedAxis", "differences"]
 
 
 @dataclass(frozen=True, slots=True)
-class Far:
+class AtGateway:
     """What only the gateway of an axis knows.
 
     Attributes
@@ -59,7 +59,7 @@ class PlannedAxis:
     twin: str | None = None
     bus: str = ""
     broken: TwoRelayError | None = None
-    far: Far | None = None
+    far: AtGateway | None = None
 
     @property
     def link(self) -> str:

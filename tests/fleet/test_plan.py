@@ -23,7 +23,7 @@ from tests.command import in_this_process
 from tests.result.test_codec import recorded
 
 AXIS = '[[axes]]\nname = "{0}"\nlink = "virtual://bench?seed={1}"\n'
-NAMED = 'job = "identify"\n[[axes]]\nname = "x"\ngateway = "pc-a"\n'
+NAMED = '[[axes]]\nname = "x"\ngateway = "pc-a"\n'
 TWO = AXIS.format("a", 1) + AXIS.format("b", 2)
 HEAD = 'job = "identify"\nconfirm = "yes"\n'
 

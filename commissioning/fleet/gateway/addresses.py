@@ -11,7 +11,7 @@ from pathlib import Path
 
 from commissioning.fleet.gateway.keys import EXTRA, context, the_one
 from commissioning.fleet.gateway.lines import Opened
-from commissioning.fleet.gateway.messages import Line
+from commissioning.fleet.gateway.messages import Wire
 from commissioning.fleet.plan import Fleet
 from drivers.errors import LinkError
 from drivers.home import home
@@ -57,7 +57,7 @@ def opener(fleet: Fleet) -> Opened:
         except TwoRelayError as error:
             contexts[name] = error
 
-    async def opened(name: str) -> Line:
+    async def opened(name: str) -> Wire:
         found = contexts[name]
         if isinstance(found, TwoRelayError):
             raise found

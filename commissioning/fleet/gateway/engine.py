@@ -15,7 +15,7 @@ import sys
 import tempfile
 import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -79,13 +79,13 @@ class _Tls(Security):
         super().__init__(require_encryption=True)
         self._context, self._name = context, name
 
-    def get_connection_args(self, role: str) -> dict[str, Any]:
+    def get_connection_args(self, role: str) -> Mapping[str, object]:
         return {
             "ssl_context": self._context, "require_encryption": True,
             "server_hostname": self._name, "extra_conn_args": {},
         }  # fmt: skip
 
-    def get_listen_args(self, role: str) -> dict[str, Any]:
+    def get_listen_args(self, role: str) -> Mapping[str, object]:
         return {"ssl_context": self._context, "require_encryption": True}
 
 

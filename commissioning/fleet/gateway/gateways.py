@@ -26,8 +26,8 @@ from commissioning.fleet.gateway.messages import (
     FarAxis,
     Going,
     Greeting,
+    PutBack,
     Restore,
-    Restored,
     Stop,
     Stopped,
     Which,
@@ -35,7 +35,7 @@ from commissioning.fleet.gateway.messages import (
 from commissioning.fleet.gateway.parcels import received, unpack
 from commissioning.fleet.ledger import LedgerRow
 from commissioning.fleet.loading import check_joined, one_bus_each
-from commissioning.fleet.plan import Far as Told
+from commissioning.fleet.plan import AtGateway as Told
 from commissioning.fleet.plan import Fleet, PlannedAxis
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
@@ -197,9 +197,9 @@ class Gateways:
         """Have all stopped that runs there for a fleet run; raises TwoRelayError."""
         return self._loop.do(self._there(gateway).ask("stop", Stop(key), Stopped))
 
-    def restore(self, gateway: str, asked: Restore) -> Restored:
+    def restore(self, gateway: str, asked: Restore) -> PutBack:
         """Have settings put back there, or shown; raises TwoRelayError."""
-        return self._loop.do(self._there(gateway).ask("restore", asked, Restored, _CALL))
+        return self._loop.do(self._there(gateway).ask("restore", asked, PutBack, _CALL))
 
     def take_in(self, gateway: str, run: str) -> str:
         """Fetch a run; its id here. Raises TwoRelayError."""

@@ -12,11 +12,11 @@ from commissioning.fleet.gateway.messages import (
     PROTOCOL,
     Ask,
     Axes,
-    Line,
+    Declined,
     News,
     Piece,
-    Refusal,
     Since,
+    Wire,
 )
 from commissioning.result.fleet_codec import json_of, of_json
 from drivers.errors import LinkError, LinkLost
@@ -29,7 +29,7 @@ _ANSWER = 5.0  # s
 _AGAIN = 0.2, 2.0  # s between tries at a line: at first, at most
 _REFUSED: dict[int, type[TwoRelayError]] = {2: UsageError, 4: LinkError}
 T = TypeVar("T")
-Opened = Callable[[str], Awaitable[Line]]  # by the name of the gateway; raises TwoRelayError
+Opened = Callable[[str], Awaitable[Wire]]  # by the name of the gateway; raises TwoRelayError
 Heard: TypeAlias = asyncio.Queue[Piece | None]  # None: the line is new, pieces may be lost
 
 
@@ -46,7 +46,7 @@ class Far:
         self.name = name
         self.run = ""
         self._opened = opened
-        self._line: Line | None = None
+        self._line: Wire | None = None
         self._life = ""
         self._number = 0
         self._listening: dict[tuple[str, int], Heard] = {}
@@ -104,7 +104,7 @@ class Far:
         try:
             if not text.startswith("-"):
                 return of_json(text[1:], kind)
-            no = of_json(text[1:], Refusal)
+            no = of_json(text[1:], Declined)
         except ValueError as error:
             raise Refused(
                 f"gateway '{self.name}' answers what is not understood here ({error})",

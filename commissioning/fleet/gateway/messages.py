@@ -3,42 +3,42 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 from commissioning.fleet.messages import Order, Report
 from commissioning.result.endings import Error
 from commissioning.result.fleet import FleetJob, JobState, Outcome
 
 __all__ = [
+    "KINDS",
     "PROTOCOL",
     "Ask",
     "Axes",
     "Chunk",
+    "Declined",
     "FarAxis",
     "Going",
     "Greeting",
-    "Line",
     "News",
     "Offer",
     "Offered",
     "Part",
     "Piece",
-    "Refusal",
+    "PutBack",
     "Restore",
-    "Restored",
     "Since",
     "Start",
     "Started",
     "Stop",
     "Stopped",
     "Which",
-    "kinds",
+    "Wire",
 ]
 
 PROTOCOL = 1  # of these messages; another one is refused
 
 
-class Line(Protocol):
+class Wire(Protocol):
     """A connection to one gateway."""
 
     async def call(self, verb: str, text: str, seconds: float) -> str:
@@ -106,7 +106,7 @@ class Axes:
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal:
+class Declined:
     """It was not done, and why; as an error on this computer would be."""
 
     code: str
@@ -259,7 +259,7 @@ class Restore:
 
 
 @dataclass(frozen=True, slots=True)
-class Restored:
+class PutBack:
     """What that came to, as 'tworelay fleet restore' there says it."""
 
     exit_code: int
@@ -276,9 +276,7 @@ class Chunk:
     data: str = ""
 
 
-def kinds() -> dict[str, Any]:
-    """What each verb asks with."""
-    return {
-        "hello": Ask, "look": Part, "offer": Offer, "start": Start, "settle": Which,
-        "stop": Stop, "news": Since, "fetch": Chunk, "restore": Restore,
-    }  # fmt: skip
+KINDS = {  # what each verb asks with
+    "hello": Ask, "look": Part, "offer": Offer, "start": Start, "settle": Which, "stop": Stop,
+    "news": Since, "fetch": Chunk, "restore": Restore,
+}  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 
-from commissioning.fleet.gateway.messages import Restore, Restored
+from commissioning.fleet.gateway.messages import PutBack, Restore
 from commissioning.processes import start
 
 __all__ = ["put_back"]
@@ -12,7 +12,7 @@ __all__ = ["put_back"]
 _PATIENCE = 240.0  # s
 
 
-def put_back(asked: Restore) -> Restored:
+def put_back(asked: Restore) -> PutBack:
     """'tworelay fleet restore' of a fleet run; the client has asked whoever sits there."""
     words = ["fleet", "restore", asked.run, "--yes"]
     if asked.everything:
@@ -27,5 +27,5 @@ def put_back(asked: Restore) -> Restored:
     try:
         said, _ = process.communicate(timeout=_PATIENCE)
     except subprocess.TimeoutExpired:  # it goes on: half a write is worse than a late one
-        return Restored(7, (f"still under way after {_PATIENCE:.0f} s on the gateway",))
-    return Restored(process.returncode, tuple(said.decode("utf-8", "replace").splitlines()))
+        return PutBack(7, (f"still under way after {_PATIENCE:.0f} s on the gateway",))
+    return PutBack(process.returncode, tuple(said.decode("utf-8", "replace").splitlines()))

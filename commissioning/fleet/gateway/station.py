@@ -26,26 +26,26 @@ from commissioning.fleet.crew import Crew, Worker
 from commissioning.fleet.file import Keys
 from commissioning.fleet.gateway.folder import AxisFolder
 from commissioning.fleet.gateway.messages import (
+    KINDS,
     PROTOCOL,
     Ask,
     Axes,
     Chunk,
+    Declined,
     Going,
     Greeting,
     News,
     Offer,
     Offered,
     Part,
-    Refusal,
+    PutBack,
     Restore,
-    Restored,
     Since,
     Start,
     Started,
     Stop,
     Stopped,
     Which,
-    kinds,
 )
 from commissioning.fleet.gateway.news import Newsroom
 from commissioning.fleet.gateway.parcels import Parcels
@@ -119,7 +119,7 @@ class Station:
             if verb not in self._verbs:
                 raise Refused(f"gateway '{self.name}' knows no '{verb}'", code="gateway.version")
             try:
-                asked = of_json(text, kinds()[verb])
+                asked: object = of_json(text, KINDS[verb])
             except ValueError as error:
                 raise Refused(
                     f"gateway '{self.name}' does not understand '{verb}': {error}",
@@ -127,11 +127,11 @@ class Station:
                 ) from None  # fmt: skip
             return "+" + json_of(self._verbs[verb](asked))
         except TwoRelayError as error:
-            return "-" + json_of(Refusal(error.code, error.text, error.exit_code, error.hint))
+            return "-" + json_of(Declined(error.code, error.text, error.exit_code, error.hint))
         except Exception as error:
             traceback.print_exc(file=sys.stderr)
             text = f"internal error on gateway '{self.name}' ({type(error).__name__}: {error})"
-            return "-" + json_of(Refusal("internal", text, 1))
+            return "-" + json_of(Declined("internal", text, 1))
 
     # -- who is there -----------------------------------------------------------------------------
 
@@ -274,12 +274,12 @@ class Station:
     def _fetch(self, chunk: Chunk) -> Chunk:
         return self._parcels.chunk(chunk)
 
-    def _restore(self, restore: Restore) -> Restored:
+    def _restore(self, restore: Restore) -> PutBack:
         with Ledger(self._home, reading=True) as ledger:
             for run, row in ledger.moving():
                 raise self._is_taken(run, row.axis)
             known = ledger.knows(restore.run)
-        return put_back(restore) if known else Restored(0, ("nothing to restore",))
+        return put_back(restore) if known else PutBack(0, ("nothing to restore",))
 
     # -- what the processes say --------------------------------------------------------------------
 

@@ -119,8 +119,7 @@ class Conductor:
         self._estimate.over()
         for one in self._to_come():
             one.doing = ""
-        result = self.result()
-        self._people.show(result)
+        self._people.show(result := self.result())
         return result
 
     @property
@@ -211,8 +210,8 @@ class Conductor:
 
     def _to_come(self) -> list[Standing]:
         """Those, and what is still to be looked at."""
-        found = self.board.of(JobState.WAITING, JobState.PLANNED)
-        return [one for one in found if one.name in self._names]
+        to_come = self.board.of(JobState.WAITING, JobState.PLANNED)
+        return [one for one in to_come if one.name in self._names]
 
     def _running(self) -> list[Standing]:
         return self.board.of(JobState.GRANTED, JobState.STARTED)

@@ -1,5 +1,5 @@
-# make demo | demo-fleet | test | check | coverage | mutants | platforms | bench | accuracy | fuzz | faults | faults-long | kills |
-# habits | machine-faults | fleet-faults | limits – each sets itself up on a bare machine with Python 3.11
+# make demo | demo-fleet | demo-gateways | test | check | coverage | mutants | platforms | bench | accuracy | fuzz | faults | faults-long | kills |
+# habits | machine-faults | fleet-faults | gateway-faults | limits – each sets itself up on a bare machine with Python 3.11
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -10,7 +10,7 @@ SEED ?=
 export OPENBLAS_NUM_THREADS := 1
 PART ?= 1/1
 
-.PHONY: demo demo-fleet test check coverage mutants mutants-afresh platforms bench look accuracy fuzz faults faults-long habits kills machine-faults fleet-faults twins limits format lint types imports lock clean
+.PHONY: demo demo-fleet demo-gateways test check coverage mutants mutants-afresh platforms bench look accuracy fuzz faults faults-long habits kills machine-faults fleet-faults gateway-faults twins limits format lint types imports lock clean
 
 demo: $(STAMP)
 	$(BIN)/tworelay demo
@@ -24,6 +24,9 @@ define TESTS
 $(BIN)/python -m pytest -n auto --dist loadgroup -m "not real_time"
 $(BIN)/python -m pytest -m real_time tests/job
 endef
+
+demo-gateways: $(STAMP)
+	$(BIN)/tworelay demo --gateways
 
 test: $(STAMP)
 	$(TESTS)
@@ -91,6 +94,11 @@ kills: $(STAMP)
 # 2/2 are halves; ends with "fleet faults: N cases, M held"
 fleet-faults: $(STAMP)
 	$(BIN)/python -m tests.faults.fleet $(PART)
+
+# gateways, clients, processes and wires fail in every way; make gateway-faults PART=2/4; ends with
+# "gateway faults: N cases, M held"
+gateway-faults: $(STAMP)
+	$(BIN)/python -m tests.faults.gateways $(PART)
 
 # the machine itself fails in every phase, in simulated time; ends with "machine faults: N cases, M held"
 machine-faults: $(STAMP)

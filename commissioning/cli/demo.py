@@ -31,13 +31,19 @@ AXIS = "bench"
 @click.option("--clock", type=click.Choice(["step", "wall"]), default="step", show_default=True,
               help="Simulated time as fast as it goes, or real time.")  # fmt: skip
 @click.option("--fleet", is_flag=True, help="Eight axes on five buses, interrupted and resumed.")
+@click.option("--gateways", is_flag=True,
+              help="Twelve axes on three computers, one of which dies in mid-motion.")  # fmt: skip
 @verbose
-def command(clock: str, fleet: bool) -> None:
+def command(clock: str, fleet: bool, gateways: bool) -> None:
     """Serve the virtual axis 'bench' over Modbus TCP and commission it as a technician would."""
     if fleet:
         from commissioning.cli.fleet.demo import run_demo
 
         sys.exit(run_demo(Screen(None, yes=True)))
+    if gateways:
+        from commissioning.cli.fleet import demo_gateways
+
+        sys.exit(demo_gateways.run_demo(Screen(None, yes=True)))
     from commissioning.cli import show
     from commissioning.cli.apply import write
     from commissioning.cli.identify import command as identify

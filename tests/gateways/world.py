@@ -14,18 +14,18 @@ import queue
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Coroutine, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from commissioning.errors import JournalError
+from commissioning.errors import Interrupted
 from commissioning.fleet.board import Board
 from commissioning.fleet.conductor import Conductor
 from commissioning.fleet.crew import Crew, Spoken
 from commissioning.fleet.gateway.folder import AxisFolder
 from commissioning.fleet.gateway.gateways import Gateways
-from commissioning.fleet.gateway.messages import Declined, Going, Which
+from commissioning.fleet.gateway.messages import Going, Which
 from commissioning.fleet.gateway.station import Station
 from commissioning.fleet.ledger import Ledger
 from commissioning.fleet.loading import load_fleet
@@ -158,14 +158,12 @@ class FakeProcess:
             self.say(Report("looked", looked=Looked(serial, "a drive", "p 1", ROOM)))
             return
         of_it = order.fleet_run, order.name, order.attempt
-        if self.signals:
+        if self.is_told():
             self.say(Report("ended", state=JobState.STOPPED))
             return
         me: Any = {**this_process(), "boot": boot()}
         with Ledger(self.at.home) as ledger:
-            granted = ledger.move(
-                *of_it, JobState.STARTED, given=(JobState.GRANTED,), also=me
-            )
+            granted = ledger.move(*of_it, JobState.STARTED, given=(JobState.GRANTED,), also=me)
         if not granted:
             self.say(Report("void", text="not granted"))
             return
@@ -177,7 +175,7 @@ class FakeProcess:
         while self.at.world.loop.time() < until:
             await asyncio.sleep(0.25)
             self.say(Report("pulse", moving=True))
-            if self.signals:
+            if self.is_told():
                 state = JobState.STOPPED
                 break
         outcome = Outcome(at_rest=True, seconds=1.0)
@@ -188,6 +186,9 @@ class FakeProcess:
 
     def interrupt(self) -> None:
         self.signals += 1
+
+    def is_told(self) -> bool:
+        return self.signals > 0
 
     def dismiss(self) -> None:
         """It ends by itself."""
@@ -225,7 +226,8 @@ class FakeCrew:
         return self.heard.popleft() if self.heard else None
 
     def take_back(self, worker: FakeProcess) -> None:
-        self.all.remove(worker)
+        if worker in self.all:
+            self.all.remove(worker)
 
     let_go = buried = take_back
 
@@ -276,7 +278,11 @@ class Gateway:
     def calendar(self) -> Iterator[None]:
         """With the date that this computer takes for today's."""
         now = time.time
-        with mock.patch("commissioning.fleet.ledger.time.time", lambda: now() + self.skew):
+
+        def skewed() -> float:
+            return now() + self.skew
+
+        with mock.patch("commissioning.fleet.ledger.time.time", skewed):
             yield
 
     def going(self, key: str, axis: str, attempt: int) -> Going:
@@ -456,7 +462,7 @@ class Client:
                     self.interruption, pins=Pins(fleet.path, kept=False), at_once=None,
                     in_advance="in a test", clock=world.loop.time,
                 )  # fmt: skip
-                with self.interruption.deferred():
+                with contextlib.suppress(Interrupted), self.interruption.deferred():
                     result = conductor.run(names)
                 crew.close()
             gateways.close()
@@ -558,8 +564,8 @@ class World:
             assert times == 1, f"{of_it} was started {times} times"
         for client in clients:
             key = client.key
-            for of_it, times in client.grants().items():
-                assert times == 1, f"{of_it} was granted {times} times"
+            for attempted, times in client.grants().items():
+                assert times == 1, f"{attempted} was granted {times} times"
             for axis, (attempt, state) in client.states().items():
                 moved = self.moved[key, axis, attempt]
                 if state is JobState.DONE:
@@ -567,6 +573,3 @@ class World:
                 if state in (JobState.REVOKED, JobState.REFUSED, JobState.BLOCKED):
                     assert moved == 0, f"{axis} is {state}, and has moved"
                 assert state not in (JobState.GRANTED, JobState.STARTED), f"{axis} is {state}"
-
-
-_ = JournalError, Declined, replace

@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 import os
 import ssl
 import sys
 import tempfile
 import threading
-import warnings
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -45,7 +43,10 @@ SETTINGS = {
     "distributed.comm.timeouts.tcp": "20s",
     "distributed.admin.system-monitor.interval": "1h",
     "distributed.worker.profile.enabled": False,
-    "distributed.logging": {"distributed": "error"},
+    "distributed.logging": dict.fromkeys(
+        ("distributed", "distributed.client", "tornado", "tornado.application"),
+        "debug" if os.environ.get("TWORELAY_ENGINE_LOG") else "critical",
+    ),
 }
 BLOCKED = [  # what a client has no need of
     "adaptive_target", "add_keys", "benchmark_hardware", "broadcast", "call_stack",
@@ -289,10 +290,3 @@ async def open_line(name: str, address: str, context: ssl.SSLContext) -> _DaskLi
             f"gateway '{name}' at {host}:{port}: no line ({error or type(error).__name__})",
             code="gateway.lost",
         ) from None
-
-
-logging.getLogger("distributed").setLevel(
-    logging.DEBUG if os.environ.get("TWORELAY_ENGINE_LOG") else logging.CRITICAL
-)
-logging.getLogger("tornado").setLevel(logging.CRITICAL)
-warnings.filterwarnings("ignore", module="distributed")

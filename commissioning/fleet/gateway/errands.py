@@ -161,6 +161,8 @@ class FarWorker(Worker):
             offered = await self._far.insist("offer", offer, Offered)
         except LinkLost as lost:
             return Report("void", text=f"{lost.text}: it was not started")
+        if self._is_stopping:
+            return Report("void", text="stopped before it was started")
         start = Start(offered.nonce, whose.fleet, whose.operator, whose.host)
         try:
             self._process = (await self._far.ask("start", start, Started)).process
@@ -226,8 +228,9 @@ class FarWorker(Worker):
         loop = asyncio.get_running_loop()
         since, told = loop.time(), False
         while self._at_work and self._order is order:
+            stop = Stop(self._whose.run, order.name)
             try:
-                await self._far.ask("stop", Stop(self._whose.run, order.name), Stopped, _CONFIRMED)
+                reached = (await self._far.ask("stop", stop, Stopped, _CONFIRMED)).axes
             except TwoRelayError:
                 if not told and loop.time() - since >= _CONFIRMED:
                     told = True
@@ -237,10 +240,13 @@ class FarWorker(Worker):
                     )
                     self._say(Report("alarm", text=text))
                 await asyncio.sleep(_STOPS)
-            else:
-                if told:
-                    self._say(Report("alarm", text=f"gateway '{self.gateway}' has the stop now"))
+                continue
+            if told:
+                self._say(Report("alarm", text=f"gateway '{self.gateway}' has the stop now"))
+            if order.name in reached:
                 return
+            told = False  # its process is only just being started there
+            await asyncio.sleep(_CONFIRMED / 10)
 
 
 def _refused(order: Order, error: TwoRelayError) -> Report:

@@ -54,6 +54,7 @@ from commissioning.fleet.ledger import Ledger, LedgerRow
 from commissioning.fleet.messages import Order, Report
 from commissioning.fleet.stopping import interrupt
 from commissioning.processes import clock
+from commissioning.result.endings import Error
 from commissioning.result.fleet import JobState
 from commissioning.result.fleet_codec import json_of, of_json
 from drivers.link_text import is_simulated, parse
@@ -314,13 +315,14 @@ class Station:
     def _of_dead(self, at: _At) -> Report:
         """What is told of an axis whose process died."""
         if at.order.act == "look":
-            return Report("looked", text="the process that looked at it ended without a word")
+            text = f"the process that looked at it on gateway '{self.name}' ended without a word"
+            return Report("looked", error=Error("internal", text), exit_code=1)
         which = Which(at.run, at.order.name, at.order.attempt, at.order.job)
         try:
             with Ledger(self._home) as ledger:
                 row = _settled(ledger, which, mine=False)
         except JournalError as error:
-            return Report("ended", text=str(error), state=JobState.UNKNOWN)
+            return Report("ended", text=str(error), state=JobState.UNKNOWN)  # to be settled later
         if row.state is JobState.REVOKED:
             return Report("void", text=row.why)
         return Report("ended", text=row.why, state=row.state, outcome=row.outcome)

@@ -55,7 +55,7 @@ from commissioning.fleet.messages import Order, Report
 from commissioning.fleet.stopping import interrupt
 from commissioning.processes import clock
 from commissioning.result.endings import Error
-from commissioning.result.fleet import JobState
+from commissioning.result.fleet import ENDED, JobState
 from commissioning.result.fleet_codec import json_of, of_json
 from drivers.link_text import is_simulated, parse
 from profiles.axis import Axis
@@ -248,7 +248,7 @@ class Station:
             )  # fmt: skip
         with Ledger(self._home) as ledger:
             row = _settled(ledger, which, mine=mine)
-        alive = mine or row.is_alive
+        alive = row.state not in ENDED and (mine or row.is_alive)
         return Going(row.axis, row.attempt, row.state, alive, row.outcome, row.why)
 
     def _stop(self, stop: Stop) -> Stopped:

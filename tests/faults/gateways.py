@@ -1,7 +1,8 @@
 """Gateways, their clients, their processes and the wires between them fail in every way: `make
 gateway-faults`. No axis is started twice for one grant, and each is accounted for.
 
-Here nothing is a process and time is simulated; with real ones see `tests.faults.gateways_real`.
+Here nothing is a process and time is simulated; then the network is cut with real ones, in
+`tests.faults.gateways_real`.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
+import subprocess
 import sys
 import tempfile
 import time
@@ -25,6 +27,7 @@ from commissioning.fleet.messages import Order
 from commissioning.result.fleet import FAILED, FleetResult, JobState
 from commissioning.result.fleet_codec import json_of, of_json
 from profiles.errors import Refused
+from tests.faults.gateways_real import CUTS
 from tests.gateways.world import Client, ClientDied, Gateway, Trouble, World
 
 __all__ = ["CASES", "Case", "held"]
@@ -472,24 +475,46 @@ def _numbered(number: int) -> tuple[int, str]:
     return number, held(CASES[number])
 
 
+def _real(numbers: Sequence[int]) -> Iterator[tuple[str, str]]:
+    """Cuts of the network, with the engine in a process of its own; and why they did not hold."""
+    words = [sys.executable, "-m", "tests.faults.gateways_real", *map(str, numbers)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        told = 0
+        for line in process.stdout:
+            told += 1
+            yield line[2:].strip(), "" if line.startswith("+") else line[2:].strip()
+        for number in numbers[told:]:
+            yield str(CUTS[number]), f"{CUTS[number]}: its process has ended"
+
+
 def main() -> int:
     """`gateways [PART/PARTS]`: the last line is `gateway faults: N cases, M held`."""
     words = [word.split("/") for word in sys.argv[1:] if "/" in word]
     part, parts = map(int, words[0]) if words else (1, 1)
     chosen = range(len(CASES))[part - 1 :: parts]
-    begun, good = time.monotonic(), 0
+    cuts = range(len(CUTS))[part - 1 :: parts]
+    total = len(chosen) + len(cuts)
+    begun, good, count = time.monotonic(), 0, 0
+
+    def tell(name: str, why: str) -> None:
+        nonlocal good, count
+        good, count = good + (not why), count + 1
+        if why:
+            sys.stdout.write(f"  {name}: {why}\n")
+        if count % 50 == 0:
+            left = (time.monotonic() - begun) / count * (total - count)
+            sys.stdout.write(f"{count} of {total}, {left / 60:.1f} min left\n")
+        sys.stdout.flush()
+
     with get_context("spawn").Pool(os.cpu_count()) as pool:
-        for count, (number, why) in enumerate(pool.imap_unordered(_numbered, chosen), 1):
-            good += not why
-            if why:
-                sys.stdout.write(f"  {CASES[number].name}: {why}\n")
-            if count % 50 == 0:
-                left = (time.monotonic() - begun) / count * (len(chosen) - count)
-                sys.stdout.write(f"{count} of {len(chosen)}, {left / 60:.1f} min left\n")
-            sys.stdout.flush()
+        for number, why in pool.imap_unordered(_numbered, chosen):
+            tell(CASES[number].name, why)
+    for name, why in _real(cuts):
+        tell(name, why)
     sys.stdout.write(f"{(time.monotonic() - begun) / 60:.1f} min\n")
-    sys.stdout.write(f"gateway faults: {len(chosen)} cases, {good} held\n")
-    return 0 if good == len(chosen) else 1
+    sys.stdout.write(f"gateway faults: {count} cases, {good} held\n")
+    return 0 if good == count == total else 1
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ sys.path.insert(0, str(HERE.parent))
 from benchmarks.critical_point import critical_point  # noqa: E402
 from benchmarks.drift import drift  # noqa: E402
 from benchmarks.fleet import fleet  # noqa: E402
+from benchmarks.gateways import gateways  # noqa: E402
 from benchmarks.history import history  # noqa: E402
 from benchmarks.links import WIRES, links, served  # noqa: E402
 from benchmarks.methods import methods  # noqa: E402
@@ -198,6 +199,7 @@ def main() -> None:
             "wires": wires, "speed": speed, "links": links, "critical_point": critical_point, "units": units,
             "stop_times": stop_times, "fleet": fleet, "history": history,
             "drift": drift, "plants": plants, "methods": methods, "panel": panel,
+            "gateways": gateways,
         }  # fmt: skip
         for name in sys.argv[1:] or tables:
             lines = tables[name]()

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from commissioning.errors import JournalError
 from commissioning.fleet.ledger import Ledger, LedgerRow
+from commissioning.fleet.looking import Seen, task_of
 from commissioning.fleet.messages import Looked
 from commissioning.fleet.plan import Fleet, PlannedAxis
+from commissioning.fleet.schedule import Task
 from commissioning.fleet.view import view
 from commissioning.result.document import Tool
 from commissioning.result.fleet import (
@@ -59,11 +61,18 @@ class Standing:
     moving_at: float = 0.0
     late: float = 0.0
     outcome: Outcome | None = None
+    _task: Task | None = None
 
     @property
     def name(self) -> str:
         """Of the axis."""
         return self.planned.name
+
+    def task(self, seconds: float) -> Task:
+        """As the schedule sees it, if it takes so long."""
+        if self._task is None or self._task.seconds != seconds:
+            self._task = task_of(self.planned, seconds)
+        return self._task
 
     @property
     def is_under_way(self) -> bool:
@@ -100,6 +109,17 @@ class Board:
         """Those that are in one of these states."""
         return [one for one in self._all.values() if one.state in states]
 
+    def in_vain(self, asked: Collection[str]) -> Iterator[tuple[Standing, str]]:
+        """Of those that are asked for, what waits for one that will not be done, and why."""
+        under_way = JobState.GRANTED, JobState.STARTED, JobState.DONE
+        hopeful = {one.name for one in self.of(*under_way)}
+        to_come = self.of(JobState.WAITING, JobState.PLANNED)
+        hopeful |= {one.name for one in to_come if one.name in asked}
+        for one in to_come:
+            lost = [name for name in one.planned.after if name not in hopeful]
+            if lost and one.state is JobState.WAITING and one.name in asked:
+                yield one, f"is to run after '{lost[0]}', which is {self[lost[0]].state}"
+
     def move(
         self, one: Standing, new: JobState, why: str = "", given: Sequence[JobState] = ()
     ) -> None:
@@ -117,13 +137,23 @@ class Board:
                 return
         one.state, one.why = new, why
 
+    def move_all(self, seen: Mapping[str, Seen]) -> None:
+        """What the look at each has come to."""
+        try:
+            with self._ledger.together():
+                for name, its in seen.items():
+                    self.move(self[name], its.state, its.error.text if its.error else "")
+        except JournalError as error:
+            self.failure = self.failure or error
+
     def grant(self, one: Standing) -> bool:
         """Let it be started, once; False: it must not."""
         assert one.confirmed is not None
         try:
             granted = self._ledger.grant(
-                self.run, one.name, one.attempt, one.confirmed, one.serial or ""
-            )
+                self.run, one.name, one.attempt, one.confirmed, one.serial or "",
+                one.planned.gateway,
+            )  # fmt: skip
         except JournalError as error:
             self.failure = self.failure or error
             return False
@@ -132,20 +162,7 @@ class Board:
         if granted:
             one.state = JobState.GRANTED
             one.began, one.moving_at, one.late = time.time(), 0.0, 0.0
-        if granted and one.planned.gateway is not None:
-            return self._hand_over(one, one.planned.gateway)
         return granted
-
-    def _hand_over(self, one: Standing, gateway: str) -> bool:
-        """Leave it to its gateway whether it is started; False: it must not be sent there."""
-        try:
-            if self._ledger.hand_over(self.run, one.name, one.attempt, gateway):
-                return True
-            self._learn(one, "it was not to be handed over")
-        except JournalError as error:
-            self.failure = self.failure or error
-            self.revoke(one, "it was not handed over")
-        return False
 
     def revoke(self, one: Standing, why: str) -> None:
         """Take a grant back; where it was started, the ledger knows how it stands.

@@ -19,7 +19,6 @@ from commissioning.fleet.looking import (
     look_and_pin,
     order_of,
     rules_of,
-    task_of,
 )
 from commissioning.fleet.messages import Report
 from commissioning.fleet.people import Answer, Ask, People
@@ -47,6 +46,7 @@ __all__ = ["Conductor"]
 
 _WAIT = 0.1  # s
 _SHOWN = 0.25  # s between pictures
+_RARELY = 5  # times as long as a picture takes: from the beginning of one to the next
 _LATE = 0.05  # share of late cycles from which on nothing more starts beside it
 _LEFT = "drive.left"  # a drive that was disabled without a fault, and not by us
 _CLEAN = JobState.DONE, JobState.NOT_HELPED, JobState.REJECTED, JobState.REFUSED
@@ -90,7 +90,7 @@ class Conductor:
         self._question: tuple[Ask, Callable[[Answer], None]] | None = None
         self._asks = ""
         self._names: frozenset[str] = frozenset()
-        self._shown = 0.0
+        self._shown = self._costly = 0.0
         self._demand = Demand(interruption, lambda: ledger.request(board.run), clock)
         self.error: TwoRelayError | None = None
 
@@ -175,11 +175,9 @@ class Conductor:
             self.fleet, axes, self._crew, self._rules, self._pins, tell, self._check_while_looking
         )
         for one in chosen:
-            its = found[one.name]
-            one.looked = its.looked
-            if its.looked is not None:
-                one.serial = its.looked.serial
-            self.board.move(one, its.state, its.error.text if its.error else "")
+            one.looked = looked = found[one.name].looked
+            one.serial = one.serial if looked is None else looked.serial
+        self.board.move_all({one.name: found[one.name] for one in chosen})
         for one in self.board:
             self._blocks_its_group(one)
             if in_doubt(one.state, one.outcome) and one.planned.zone:
@@ -199,7 +197,7 @@ class Conductor:
     # -- what is so ------------------------------------------------------------------------------
 
     def _task(self, one: Standing) -> Task:
-        return task_of(one.planned, self._seconds(stepping=one.planned.is_stepping))
+        return one.task(self._seconds(stepping=one.planned.is_stepping))
 
     def _seconds(self, *, stepping: bool) -> float:
         return self._estimate.seconds(stepping=stepping)
@@ -336,9 +334,10 @@ class Conductor:
 
     def _show(self, *, now: bool = False) -> None:
         """A picture of the run, now and then, or `now`."""
-        if not now and self._clock() - self._shown < _SHOWN:
+        begun = self._clock()
+        if begun - self._shown < (self._costly if now else _SHOWN):
             return
-        self._shown = self._clock()
+        self._shown = begun
         tasks = [self._task(one) for one in self._running()]
         done = {one.name for one in self.board.of(JobState.DONE)}
         late = self._late()
@@ -347,6 +346,7 @@ class Conductor:
             unconfirmed = "" if one.confirmed_until else "to be confirmed"
             one.doing = "" if self.draining else what or unconfirmed
         self._people.show(self.result())
+        self._costly = _RARELY * (self._clock() - begun)  # of many axes a picture takes its time
 
     # -- starting --------------------------------------------------------------------------------
 
@@ -369,10 +369,14 @@ class Conductor:
 
     def _expect(self, *, only_running: bool = False) -> None:
         """How long it still takes."""
-        now = self._clock()
-        running = {self._task(one): now - one.since for one in self._running()}
-        waiting = [] if only_running or self.draining else self._waiting()
-        self._estimate.renew([self._task(one) for one in waiting], running)
+
+        def work() -> tuple[list[Task], dict[Task, float]]:
+            now = self._clock()
+            running = {self._task(one): now - one.since for one in self._running()}
+            waiting = [] if only_running or self.draining else self._waiting()
+            return [self._task(one) for one in waiting], running
+
+        self._estimate.renew(work)
 
     # -- what workers say ------------------------------------------------------------------------
 
@@ -459,16 +463,8 @@ class Conductor:
 
     def _block(self) -> None:
         """What waits for an axis that will not be done in this run."""
-        hopeful = {o.name for o in self._to_come()}
-        hopeful |= {o.name for o in self._running()} | {
-            o.name for o in self.board.of(JobState.DONE)
-        }
-        for one in self._waiting():
-            lost = [name for name in one.planned.after if name not in hopeful]
-            if lost:
-                state = self.board[lost[0]].state
-                why = f"is to run after '{lost[0]}', which is {state}"
-                self.board.move(one, JobState.BLOCKED, why)
+        for one, why in list(self.board.in_vain(self._names)):
+            self.board.move(one, JobState.BLOCKED, why)
 
     def _pause(self, zone: str, why: str, *, may_be_woken: bool = False) -> None:
         self._zones.pause(zone, may_be_woken=may_be_woken)

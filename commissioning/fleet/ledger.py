@@ -31,7 +31,7 @@ from commissioning.result.fleet import (
 from commissioning.result.fleet_codec import json_of, of_json
 from profiles.errors import UnknownName, UsageError
 
-__all__ = ["FleetRecord", "Ledger", "LedgerRow", "Place"]
+__all__ = ["FleetRecord", "Ledger", "LedgerRow", "Place", "Whose"]
 
 _RUNS_A_SECOND = 100
 T = TypeVar("T")
@@ -49,6 +49,17 @@ class Place(NamedTuple):
     def where(self) -> str:
         """The link, and on which computer it is."""
         return f"{self.gateway}: {self.link}" if self.gateway and self.link else self.link
+
+
+class Whose(NamedTuple):
+    """Whose fleet run moves axes of a gateway: its file, its computer, and who sits there."""
+
+    fleet: str
+    host: str
+    operator: str
+
+
+WHOSE = Whose("", "", "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,9 +141,24 @@ class LedgerRow:
 class Ledger(OpenJournal):
     """The fleet runs of this computer; raises JournalError when they cannot be read or written."""
 
+    _is_together = False
+
+    @contextmanager
+    def together(self) -> Generator[None]:
+        """All that is written in it at once, or nothing; for what precedes no act."""
+        with self._change():
+            self._is_together = True
+            try:
+                yield
+            finally:
+                self._is_together = False
+
     @contextmanager
     def _change(self) -> Generator[sqlite3.Connection]:
         """All of it or nothing, on the disk when this returns."""
+        if self._is_together:
+            yield self._db
+            return
         with self._errors():
             self._db.execute("BEGIN IMMEDIATE")
             yield self._db
@@ -258,10 +284,12 @@ class Ledger(OpenJournal):
         why: str = "",
         given: Sequence[JobState] = (),
         also: Mapping[str, str | float | None] | None = None,
+        over: JobState | None = None,
     ) -> bool:
         """One transition of one axis; whether the row was in a state `given`, and so is changed.
 
         Without `given` from any state that is no ending. `also`: other columns that it sets.
+        `over`: a state that it goes through, of which there is to be told.
         """
         columns = also or {}
         allowed = given or [state for state in JobState if state not in ENDED]
@@ -273,18 +301,29 @@ class Ledger(OpenJournal):
                 f"AND attempt=? AND state IN ({marks})",
                 (new, time.time(), why, *columns.values(), run, axis, attempt, *allowed),
             ).rowcount
+            if changed and over is not None:
+                self._tell(db, run, axis, attempt, str(over))
             if changed:
                 self._tell(db, run, axis, attempt, f"{new}: {why}" if why else str(new))
         return changed == 1
 
-    def grant(self, run: str, axis: str, attempt: int, confirmed: Confirmed, serial: str) -> bool:
-        """Let one process, once, move this axis."""
+    def grant(
+        self, run: str, axis: str, attempt: int, confirmed: Confirmed, serial: str,
+        gateway: str | None = None,
+    ) -> bool:  # fmt: skip
+        """Let one process, once, move this axis.
+
+        `gateway` : whose ledger knows from now on whether it was started
+        """
+        handed = gateway is not None
         return self.move(
-            run, axis, attempt, JobState.GRANTED,
+            run, axis, attempt, JobState.STARTED if handed else JobState.GRANTED,
+            why=f"handed to gateway '{gateway}'" if handed else "",
             given=(JobState.PLANNED, JobState.WAITING),
             also={
                 "confirmed": json_of(confirmed), "serial": serial, "began": time.time(),
             },
+            over=JobState.GRANTED if handed else None,
         )  # fmt: skip
 
     def start(self, run: str, axis: str, attempt: int) -> bool:
@@ -293,13 +332,6 @@ class Ledger(OpenJournal):
         return self.move(
             run, axis, attempt, JobState.STARTED,
             given=(JobState.GRANTED,), also={**me, "boot": boot()},
-        )  # fmt: skip
-
-    def hand_over(self, run: str, axis: str, attempt: int, gateway: str) -> bool:
-        """From now on the ledger of a gateway knows whether a granted axis was started."""
-        return self.move(
-            run, axis, attempt, JobState.STARTED, why=f"handed to gateway '{gateway}'",
-            given=(JobState.GRANTED,),
         )  # fmt: skip
 
     def learn(
@@ -346,28 +378,23 @@ class Ledger(OpenJournal):
 
     # -- of other computers' runs, on a gateway ---------------------------------------------------
 
-    def host(self, key: str, name: str, file: str, job: FleetJob, whose: tuple[str, str]) -> None:
-        """There is a fleet run of another computer; `whose`: host and operator."""
+    def admit(
+        self, key: str, axis: str, attempt: int, state: JobState, job: FleetJob, why: str = "",
+        whose: Whose = WHOSE, confirmed: Confirmed | None = None, serial: str | None = None,
+    ) -> bool:  # fmt: skip
+        """A first word on this attempt: granted, or revoked for good; False: there is one."""
         me, now = this_process(), time.time()
-        definition = json.dumps({"axes": {}})
+        said = None if confirmed is None else json_of(confirmed)
         with self._change() as db:
             db.execute(
                 "INSERT OR IGNORE INTO fleet_runs(id, created, name, file, job, definition, state, "
                 "host, operator, pid, started, boot, ended) VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?)",
                 (
-                    key, now, name, file, job, definition, FleetState.FINISHED, *whose,
+                    key, now, whose.fleet or key, f"a file on {whose.host or 'another computer'}",
+                    job, json.dumps({"axes": {}}), FleetState.FINISHED, whose.host, whose.operator,
                     me["pid"], me["started"], boot(), now,
                 ),
             )  # fmt: skip
-
-    def admit(
-        self, key: str, axis: str, attempt: int, state: JobState, why: str = "",
-        confirmed: Confirmed | None = None, serial: str | None = None,
-    ) -> bool:  # fmt: skip
-        """A first word on this attempt: granted, or revoked for good; False: there is one."""
-        said = None if confirmed is None else json_of(confirmed)
-        now = time.time()
-        with self._change() as db:
             new = db.execute(
                 "INSERT OR IGNORE INTO fleet_axes(fleet_run, axis, attempt, state, at, why, "
                 "confirmed, serial, began) VALUES (?,?,?,?,?,?,?,?,?)",

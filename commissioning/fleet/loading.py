@@ -272,8 +272,9 @@ def _check_names(path: Path, axes: Sequence[PlannedAxis]) -> None:
         raise UsageError(f"{path}: 'failed' names no axis: --again failed means all that are")
     seen: dict[str, str] = {}
     for one in axes:
-        before = seen.setdefault(one.name.casefold(), one.name)
-        if sum(other.name.casefold() == one.name.casefold() for other in axes) > 1:
+        before = seen.get(one.name.casefold())
+        seen[one.name.casefold()] = one.name
+        if before is not None:
             raise UsageError(
                 f"{path}: the axis '{before}' is named twice: an axis is in a fleet once, "
                 'and two files of one name want name = "…"'

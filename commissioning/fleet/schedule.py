@@ -9,9 +9,12 @@ import heapq
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import inf
 from typing import NamedTuple
 
 __all__ = ["Rules", "Share", "Task", "makespan", "obstacle", "planned", "startable"]
+
+_MANY = 60  # tasks
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,10 +102,13 @@ def startable(
         behind[task.bus or task.name] = behind.get(task.bus or task.name, 0.0) + task.seconds
     order = sorted(waiting, key=lambda task: (-behind[task.bus or task.name], -task.seconds))
     tokens = _Tokens(running, rules)
-    known = frozenset(done)
+    known, full = frozenset(done), set()
     found = []
     for task in order:
-        if task.zone in paused or not known.issuperset(task.after):
+        if task.computer in full or task.zone in paused or not known.issuperset(task.after):
+            continue
+        if tokens.has_no_room_on(task.computer):
+            full.add(task.computer)
             continue
         if task.computer in late and not task.stepping:
             continue
@@ -163,22 +169,49 @@ class _Tokens:
             return False
         if task.zone in rules.zones and taken["zone", task.zone] >= rules.zones[task.zone]:
             return False
-        if rules.most is not None and taken["all", ""] >= rules.most:
-            return False
         share = rules.share(task.computer)
-        if taken["computer", task.computer] >= share.most:
-            return False
         return task.stepping or taken["punctual", task.computer] < share.punctual
+
+    def has_no_room_on(self, computer: str) -> bool:
+        """Whether as many are under way there as may be, or everywhere."""
+        most = self._rules.most
+        if most is not None and self._taken["all", ""] >= most:
+            return True
+        return self._taken["computer", computer] >= self._rules.share(computer).most
 
 
 def makespan(waiting: Sequence[Task], running: Mapping[Task, float], rules: Rules) -> float:
     """How long it takes until all have ended, s, as far as durations are as expected.
 
+    Of many the greatest of what each token alone takes, which is a little less.
+
     `running` : the seconds that each still takes
     """
+    if len(waiting) > _MANY:
+        return _bound(waiting, running, rules)
     begins = planned(waiting, running, rules)
     ends = [begins[task.name] + task.seconds for task in waiting if task.name in begins]
     return max((*ends, *running.values()), default=0.0)
+
+
+def _bound(waiting: Iterable[Task], running: Mapping[Task, float], rules: Rules) -> float:
+    """What the token that has most to do takes, s."""
+    rows: Counter[tuple[str, str]] = Counter()
+    of_row: dict[tuple[str, str], float] = {}  # how many at once
+    every = [*((task, task.seconds) for task in waiting), *running.items()]
+    for task, seconds in every:
+        share = rules.share(task.computer)
+        kinds = {
+            ("bus", task.bus or task.name): 1.0, ("group", task.group or task.name): 1.0,
+            ("zone", task.zone or task.name): rules.zones.get(task.zone, inf),
+            ("all", ""): rules.most or inf, ("computer", task.computer): share.most,
+            ("punctual", "" if task.stepping else task.computer): inf if task.stepping
+            else share.punctual,
+        }  # fmt: skip
+        of_row.update(kinds)
+        for kind in kinds:
+            rows[kind] += seconds  # type: ignore[assignment]
+    return max((seconds / of_row[kind] for kind, seconds in rows.items()), default=0.0)
 
 
 def planned(

@@ -30,7 +30,7 @@ from commissioning.result.fleet import ENDED, JobState, Outcome
 from drivers.errors import LinkLost
 from profiles.errors import TwoRelayError
 
-__all__ = ["FarWorker", "TakeIn", "Whose"]
+__all__ = ["FarWorker", "FleetOf", "TakeIn"]
 
 _LOOK = 90.0  # s that a look may take
 _SEEN = 2.0  # s without news, after which the ledger there is asked
@@ -41,7 +41,7 @@ TakeIn = Callable[[Far, str], Awaitable[str]]  # a run of a gateway: fetched; it
 
 
 @dataclass(frozen=True, slots=True)
-class Whose:
+class FleetOf:
     """The fleet run, for the ledger of a gateway.
 
     Attributes
@@ -61,7 +61,7 @@ class FarWorker(Worker):
     """Does what a worker of this computer does, through a gateway."""
 
     def __init__(
-        self, far: Far, whose: Whose, heard: queue.SimpleQueue[Spoken], begin: Begin,
+        self, far: Far, whose: FleetOf, heard: queue.SimpleQueue[Spoken], begin: Begin,
         take_in: TakeIn,
     ) -> None:  # fmt: skip
         self.busy = ""

@@ -16,7 +16,7 @@ from typing import Any, Protocol, TypeVar
 from commissioning.desk import Desk
 from commissioning.ending import operator, tool
 from commissioning.fleet.crew import Spoken, Worker
-from commissioning.fleet.gateway.errands import FarWorker, Whose
+from commissioning.fleet.gateway.errands import FarWorker, FleetOf
 from commissioning.fleet.gateway.lines import Far, Opened
 from commissioning.fleet.gateway.messages import (
     PROTOCOL,
@@ -96,7 +96,9 @@ class Gateways:
         self._fleet = fleet
         self._loop = loop
         below = fleet.defaults.model_dump_json(exclude_unset=True)
-        self._whose = Whose("", below, str(fleet.path.resolve()), operator() or "", platform.node())
+        self._whose = FleetOf(
+            "", below, str(fleet.path.resolve()), operator() or "", platform.node()
+        )
         self._ask = Ask(PROTOCOL, tool().version, below)
         named = sorted({one.gateway for one in fleet.axes if one.gateway is not None})
         self._far = {name: Far(name, opened) for name in named}

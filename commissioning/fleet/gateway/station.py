@@ -50,7 +50,7 @@ from commissioning.fleet.gateway.messages import (
 from commissioning.fleet.gateway.news import Newsroom
 from commissioning.fleet.gateway.parcels import Parcels
 from commissioning.fleet.gateway.putting_back import put_back
-from commissioning.fleet.ledger import Ledger, LedgerRow
+from commissioning.fleet.ledger import Ledger, LedgerRow, Whose
 from commissioning.fleet.messages import Order, Report
 from commissioning.fleet.stopping import interrupt
 from commissioning.processes import clock
@@ -206,13 +206,11 @@ class Station:
         offer, order = offered.offer, offered.offer.order
         axis = self._folder.check_same(order.name, _below(offer.below), order.axis)
         with Ledger(self._home) as ledger:
-            ledger.host(
-                offer.run, start.fleet or offer.run, f"of {start.host or 'another computer'}",
-                order.job, (start.host, start.operator),
-            )  # fmt: skip
             granted = ledger.admit(
-                offer.run, order.name, order.attempt, JobState.GRANTED,
-                f"confirmed as {offered.confirmed[:16]}", order.confirmed, order.options.serial,
+                offer.run, order.name, order.attempt, JobState.GRANTED, order.job,
+                f"confirmed as {offered.confirmed[:16]}",
+                Whose(start.fleet, start.host, start.operator), order.confirmed,
+                order.options.serial,
             )  # fmt: skip
         if not granted:
             raise Refused(
@@ -345,8 +343,7 @@ def _settled(ledger: Ledger, which: Which, *, mine: bool) -> LedgerRow:
     """An attempt as it stands; what was not started yet never will be, unless it is `mine`."""
     of_it = which.run, which.axis, which.attempt
     if ledger.row(*of_it) is None:
-        ledger.host(which.run, which.run, "of another computer", which.job, ("", ""))
-        ledger.admit(*of_it, JobState.REVOKED, "it was never started")
+        ledger.admit(*of_it, JobState.REVOKED, which.job, "it was never started")
     row = ledger.row(*of_it)
     if row is not None and row.state is JobState.GRANTED and not mine:
         ledger.revoke(*of_it, "its process ended before it started")

@@ -68,6 +68,8 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "fleet stop": ("tworelay fleet stop",),
     "fleet restore": ("tworelay fleet restore last",),
     "fleet report": ("tworelay fleet report last",),
+    "fleet keys": ("tworelay fleet keys keys --gateway pc-a --client laptop",),
+    "fleet gateway": ("tworelay fleet gateway --axes . --listen 10.0.7.11:8786",),
     "scan": ("tworelay scan canopen://socketcan/can0", "tworelay scan 'modbus-rtu:COM5'"),
     "doctor": ("tworelay doctor", "tworelay doctor 'modbus-tcp://192.168.1.10?unit=1'"),
     "latency": ("tworelay latency 'modbus-tcp://192.168.1.10?unit=1'",),

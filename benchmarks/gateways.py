@@ -26,7 +26,7 @@ __all__ = ["gateways"]
 
 HERE = Path(__file__).parent
 _GATEWAYS, _EACH = 20, 50
-_STOPS = 10
+_STOPS = 15
 _MOVING, _PATIENCE = 3, 60.0  # looks with torque before it is stopped, s
 
 
@@ -146,7 +146,7 @@ def _looker_on(link: str) -> Iterator[list[tuple[float, int, int]]]:
 
 
 def _stopped(path: Path, home: Path, link: str) -> float:
-    """From the key to the last torque, s."""
+    """From the key until it is seen that there is no torque any more, s."""
     with _looker_on(link) as seen:
         process = subprocess.Popen(
             [sys.executable, "-m", "commissioning", "fleet", "run", str(path)], cwd=HERE.parent,
@@ -161,9 +161,9 @@ def _stopped(path: Path, home: Path, link: str) -> float:
         key = time.time()
         process.send_signal(signal.SIGTERM)
         process.wait()
-    last = [at for at, torque, _ in seen if torque]
+    last = max(at for at, torque, _ in seen if torque)
     assert process.returncode == 143, process.returncode
-    return max(last) - key
+    return min(at for at, _, _ in seen if at > last) - key
 
 
 def _stops() -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
@@ -34,6 +34,7 @@ class Interruption:
         self._told = False
         self._deferred = 0
         self._before: dict[int, Any] = {}
+        self.wakes: Callable[[], None] = lambda: None  # whoever waits for something else
 
     def __enter__(self) -> Interruption:
         if threading.current_thread() is threading.main_thread():
@@ -50,6 +51,7 @@ class Interruption:
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self.signal = number
         self.count += 1
+        self.wakes()
         if not self._deferred:
             self._told = False  # whoever waits now is to hear it, whatever was told before
             self.check()

@@ -68,7 +68,9 @@ class Worker(Protocol):
         """Let go of what led to it; it has ended."""
 
 
-Elsewhere = Callable[[str, "queue.SimpleQueue[Spoken]"], Worker]  # by the name of its gateway
+Elsewhere = Callable[
+    [str, "queue.SimpleQueue[Spoken | None]"], Worker
+]  # by the name of its gateway
 
 
 class _Process:
@@ -76,7 +78,7 @@ class _Process:
 
     gateway = ""
 
-    def __init__(self, log: Path, heard: queue.SimpleQueue[Spoken]) -> None:
+    def __init__(self, log: Path, heard: queue.SimpleQueue[Spoken | None]) -> None:
         self.busy = ""
         self.moves = False
         with _opened(log) as errors:
@@ -91,7 +93,7 @@ class _Process:
     def pid(self) -> int:
         return int(self._process.pid)
 
-    def _hear(self, heard: queue.SimpleQueue[Spoken]) -> None:
+    def _hear(self, heard: queue.SimpleQueue[Spoken | None]) -> None:
         assert self._process.stdout is not None
         with contextlib.suppress(OSError):
             for line in self._process.stdout:
@@ -152,7 +154,7 @@ class Crew:
     def __init__(self, folder: Path, elsewhere: Elsewhere | None = None) -> None:
         self._elsewhere = elsewhere
         self._log = folder / "workers.log"
-        self._queue: queue.SimpleQueue[Spoken] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[Spoken | None] = queue.SimpleQueue()
         self._all: list[Worker] = []
         self._idle: list[Worker] = []
 
@@ -180,11 +182,15 @@ class Crew:
         return {worker.busy: worker for worker in self._all if worker.busy}
 
     def hear(self, seconds: float) -> Spoken | None:
-        """The next thing that a worker says, or nothing for so long."""
+        """The next thing that a worker says, or nothing for so long, or until it is woken."""
         try:
             return self._queue.get(block=seconds > 0, timeout=seconds or None)
         except queue.Empty:
             return None
+
+    def wake(self) -> None:
+        """Whoever listens is to look round now; called by signals, too."""
+        self._queue.put(None)
 
     def take_back(self, worker: Worker) -> None:
         """It has ended its order cleanly, and may have another."""

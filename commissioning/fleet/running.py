@@ -85,6 +85,7 @@ def run(
             if gateways is not None:
                 gateways.use(ledger.record(run_id).key)
             crew = Crew(folder_of(run_id), gateways.worker if gateways else None)
+            interruption.wakes = crew.wake
             conductor = Conductor(
                 Board(own, ledger, run_id), ledger, crew, people, interruption,
                 pins=pins, at_once=wishes.at_once, in_advance=in_advance,

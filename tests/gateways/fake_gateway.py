@@ -29,7 +29,7 @@ class FakeWorker(Worker):
 
     gateway = ""
 
-    def __init__(self, heard: queue.SimpleQueue[Spoken], lasts: float) -> None:
+    def __init__(self, heard: queue.SimpleQueue[Spoken | None], lasts: float) -> None:
         self.busy, self.moves = "", False
         self._heard, self._lasts = heard, lasts
         self._stop = threading.Event()

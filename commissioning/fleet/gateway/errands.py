@@ -61,7 +61,7 @@ class FarWorker(Worker):
     """Does what a worker of this computer does, through a gateway."""
 
     def __init__(
-        self, far: Far, whose: FleetOf, heard: queue.SimpleQueue[Spoken], begin: Begin,
+        self, far: Far, whose: FleetOf, heard: queue.SimpleQueue[Spoken | None], begin: Begin,
         take_in: TakeIn,
     ) -> None:  # fmt: skip
         self.busy = ""

@@ -177,7 +177,7 @@ class Gateways:
         for far in self._far.values():
             far.run = key
 
-    def worker(self, gateway: str, heard: queue.SimpleQueue[Spoken]) -> Worker:
+    def worker(self, gateway: str, heard: queue.SimpleQueue[Spoken | None]) -> Worker:
         """Whoever acts on a gateway."""
         return FarWorker(self._far[gateway], self._whose, heard, self._loop.begin, self._take_in)
 

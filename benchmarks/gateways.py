@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import random
 import signal
 import statistics
 import subprocess
@@ -26,8 +27,9 @@ __all__ = ["gateways"]
 
 HERE = Path(__file__).parent
 _GATEWAYS, _EACH = 20, 50
-_STOPS = 15
-_MOVING, _PATIENCE = 3, 60.0  # looks with torque before it is stopped, s
+_STOPS = 20
+_MOVING, _PATIENCE = 100, 60.0  # looks with torque before it is stopped, s
+_FRESH = 0.02  # s since the last look, which saw torque
 
 
 def gateways() -> list[str]:
@@ -157,7 +159,10 @@ def _stopped(path: Path, home: Path, link: str) -> float:
         while sum(abs(torque) > 0 for _, torque, _ in seen) < _MOVING:
             assert time.monotonic() < until, "it does not move"
             time.sleep(0.01)
-        time.sleep(0.5)
+        time.sleep(random.uniform(0.0, 0.2))
+        while not (seen[-1][1] and time.time() - seen[-1][0] < _FRESH):
+            assert time.monotonic() < until, "it does not move any more"
+            time.sleep(0.001)
         key = time.time()
         process.send_signal(signal.SIGTERM)
         process.wait()

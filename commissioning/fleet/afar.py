@@ -2,53 +2,52 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Generator, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 
 from commissioning.fleet.gateway.gateways import Gateways
 from commissioning.fleet.gateway.messages import PutBack, Restore
-from commissioning.fleet.ledger import FleetRecord, Ledger
-from commissioning.fleet.loading import load_fleet
-from commissioning.fleet.running import met
-from commissioning.fleet.settling import settle
-from commissioning.result.fleet import JobState
+from commissioning.fleet.ledger import Ledger
+from commissioning.fleet.rows import FleetRecord, LedgerRow
+from commissioning.fleet.running import reach
+from commissioning.fleet.settling import ON_GATEWAY, Known, fetch, settle
+from commissioning.result.fleet import FleetState, JobState
 from drivers.home import home
-from profiles.errors import Refused, TwoRelayError
+from profiles.errors import TwoRelayError
 
 __all__ = ["bring_up_to_date", "on_gateways", "put_back_on", "reach"]
 
+_OVER = FleetState.FINISHED, FleetState.STOPPED
 _OPEN = JobState.STARTED, JobState.UNKNOWN
 
 
-@contextlib.contextmanager
-def reach(record: FleetRecord) -> Generator[Gateways]:
-    """The gateways of the file of a fleet run; raises UsageError, Refused."""
-    fleet = load_fleet(Path(record.file))
-    with met(fleet, lambda _: None) as (_, gateways):
-        if gateways is None:
-            raise Refused(f"{record.file} names no gateway any more", code="gateway.gone")
-        yield gateways
+def bring_up_to_date(run: str) -> tuple[str, ...]:
+    """Ask the gateways about axes of which nobody here knows how they ended, and for their runs.
 
-
-def bring_up_to_date(run: str) -> Iterator[str]:
-    """Ask the gateways about axes of which nobody here knows how they ended; says what is left."""
+    Returns axes that are under way there; tells nothing where they cannot be asked, for the ledger
+    says then that nobody knows.
+    """
     with Ledger(home(), reading=True) as ledger:
         record = ledger.record(run)
-        left = [row for row in ledger.rows(record.id).values() if row.state in _OPEN]
-        left = [row for row in left if record.place(row.axis).gateway is not None]
-        if not left or record.is_alive:
-            return
-    try:
-        with reach(record) as gateways, Ledger(home()) as ledger:
-            for row in left:
-                if settle(gateways, ledger, record, row):
-                    yield (
-                        f"'{row.axis}' is under way still on gateway "
-                        f"'{record.place(row.axis).gateway}': 'tworelay fleet stop' stops it"
-                    )
-    except TwoRelayError as error:
-        yield f"its gateways could not be asked: {error}"
+        if record.is_alive and record.state not in _OVER:
+            return ()
+        rows = [row for row in ledger.rows(record.id).values() if _is_left(row)]
+        left = [row for row in rows if record.place(row.axis).gateway is not None]
+    if not left:
+        return ()
+    with reach(record) as gateways, Ledger(home()) as ledger:
+        gateways.meet()
+        moving = []
+        for row in left:
+            if row.state not in _OPEN:
+                fetch(gateways, ledger, record, row)
+            elif settle(gateways, ledger, record, row) is Known.MOVES:
+                moving.append(row.axis)
+        return tuple(moving)
+
+
+def _is_left(row: LedgerRow) -> bool:
+    """Whether a gateway may know more of an attempt, or have its run still."""
+    return row.state in _OPEN or (row.outcome is not None and ON_GATEWAY in row.outcome.remark)
 
 
 def on_gateways(record: FleetRecord, ledger: Ledger, axes: Sequence[str]) -> dict[str, list[str]]:

@@ -7,10 +7,11 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from commissioning.errors import JournalError
-from commissioning.fleet.ledger import Ledger, LedgerRow
+from commissioning.fleet.ledger import Ledger
 from commissioning.fleet.looking import Seen, task_of
 from commissioning.fleet.messages import Looked
 from commissioning.fleet.plan import Fleet, PlannedAxis
+from commissioning.fleet.rows import LedgerRow
 from commissioning.fleet.schedule import Task
 from commissioning.fleet.view import view
 from commissioning.result.document import Tool

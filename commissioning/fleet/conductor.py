@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from datetime import datetime
 from functools import partial
 
@@ -56,7 +56,8 @@ class Conductor:
     """Runs a fleet.
 
     `in_advance` : how all is confirmed without a question; None: people are asked. `can_ask`:
-    somebody is at the terminal. `clock`: s, which never goes back, nor stands still.
+    somebody is at the terminal. `doubtful`: axes that an earlier run has left, and why. `clock`: s,
+    which never goes back, nor stands still.
     """
 
     def __init__(
@@ -71,6 +72,7 @@ class Conductor:
         at_once: int | None = None,
         in_advance: str | None = None,
         can_ask: bool = False,
+        doubtful: Mapping[str, str] | None = None,
         clock: Callable[[], float] = clock,
     ) -> None:
         self.fleet: Fleet = board.fleet
@@ -83,6 +85,7 @@ class Conductor:
         self._pins = pins
         self._in_advance = in_advance
         self._can_ask = can_ask
+        self._doubtful = doubtful or {}
         self._clock = clock
         self._rules: Rules = rules_of(self.fleet, at_once)
         self._estimate = TimeLeft(self.fleet.job, self._rules, clock)
@@ -180,8 +183,12 @@ class Conductor:
         self.board.move_all({one.name: found[one.name] for one in chosen})
         for one in self.board:
             self._blocks_its_group(one)
-            if in_doubt(one.state, one.outcome) and one.planned.zone:
-                self._pause(one.planned.zone, f"'{one.name}' in it is not verified to be at rest")
+            if why := self._doubtful.get(one.name, ""):
+                self._block_group(one.planned.group or "", why)
+            if in_doubt(one.state, one.outcome):
+                why = f"'{one.name}' in it is not verified to be at rest"
+            if why and one.planned.zone:
+                self._pause(one.planned.zone, why)
         with Journal(home(), reading=True) as journal:
             for name, run in cut_off(self.fleet, self._pins.known, journal).items():
                 group = self.fleet.axis(name).group or ""
@@ -197,10 +204,7 @@ class Conductor:
     # -- what is so ------------------------------------------------------------------------------
 
     def _task(self, one: Standing) -> Task:
-        return one.task(self._seconds(stepping=one.planned.is_stepping))
-
-    def _seconds(self, *, stepping: bool) -> float:
-        return self._estimate.seconds(stepping=stepping)
+        return one.task(self._estimate.seconds(stepping=one.planned.is_stepping))
 
     def _waiting(self) -> list[Standing]:
         """Those that are asked for, and still to start."""
@@ -312,14 +316,13 @@ class Conductor:
             return
         first = candidates[0]
         with_room = [(o.planned, o.looked.room) for o in waiting if o.looked is not None]
-        seconds = self._seconds(stepping=first.planned.is_stepping)
+        seconds = self._estimate.seconds(stepping=first.planned.is_stepping)
         asked = question(self.fleet, first.planned, with_room, seconds)
         self._ask(asked.text, asked.word, partial(self._told_of_axes, asked))
 
     def _told_of_axes(self, asked: Asked, answer: Answer) -> None:
-        for one in (self.board[name] for name in asked.axes):
-            if one.state is not JobState.WAITING:
-                continue
+        waiting = [self.board[name] for name in asked.axes]
+        for one in (one for one in waiting if one.state is JobState.WAITING):
             if answer is Answer.YES:
                 self._confirm(one, f"'{asked.word}' was typed")
             else:
@@ -458,7 +461,7 @@ class Conductor:
 
     def _block_group(self, group: str, why: str) -> None:
         for other in self._to_come():
-            if other.planned.group == group:
+            if group and other.planned.group == group:
                 self.board.move(other, JobState.BLOCKED, why)
 
     def _block(self) -> None:

@@ -13,13 +13,13 @@ import sqlite3
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import TypeVar
 
 from commissioning.errors import JournalError
+from commissioning.fleet.rows import WHOSE, FleetRecord, LedgerRow, Whose, row_of
 from commissioning.journal_file import OpenJournal, slug
-from commissioning.processes import boot, is_alive, this_process
+from commissioning.processes import boot, this_process
 from commissioning.result.fleet import (
     ENDED,
     Confirmed,
@@ -28,114 +28,13 @@ from commissioning.result.fleet import (
     JobState,
     Outcome,
 )
-from commissioning.result.fleet_codec import json_of, of_json
+from commissioning.result.fleet_codec import json_of
 from profiles.errors import UnknownName, UsageError
 
-__all__ = ["FleetRecord", "Ledger", "LedgerRow", "Place", "Whose"]
+__all__ = ["Ledger"]
 
 _RUNS_A_SECOND = 100
 T = TypeVar("T")
-
-
-class Place(NamedTuple):
-    """Where an axis is; `gateway`: the computer that has its bus, None: this one."""
-
-    link: str
-    group: str | None
-    zone: str | None
-    gateway: str | None
-
-    @property
-    def where(self) -> str:
-        """The link, and on which computer it is."""
-        return f"{self.gateway}: {self.link}" if self.gateway and self.link else self.link
-
-
-class Whose(NamedTuple):
-    """Whose fleet run moves axes of a gateway: its file, its computer, and who sits there."""
-
-    fleet: str
-    host: str
-    operator: str
-
-
-WHOSE = Whose("", "", "")
-
-
-@dataclass(frozen=True, slots=True)
-class FleetRecord:
-    """One fleet run, as it was begun.
-
-    Attributes
-    ----------
-    created, ended : s since 1970
-    definition : of the fleet file, as JSON
-    request : what `fleet stop` asks of the runner: '', 'drain' or 'stop'
-    """
-
-    id: str
-    created: float
-    name: str
-    file: str
-    job: FleetJob
-    definition: str
-    state: FleetState
-    host: str
-    operator: str
-    pid: int
-    started: float
-    boot: str
-    ended: float | None
-    request: str
-
-    def place(self, axis: str) -> Place:
-        """Where an axis is, by the file."""
-        tree = json.loads(self.definition)
-        said = tree["axes"].get(axis, {})
-        link = said.get("link") or tree.get("told", {}).get(axis, "")
-        return Place(link, said.get("group"), said.get("zone"), said.get("gateway"))
-
-    @property
-    def key(self) -> str:
-        """What it is called on other computers, whose fleet runs have ids of their own."""
-        return f"{self.id}@{slug(self.host)}-{self.created * 1e6:.0f}"
-
-    @property
-    def rehearsed(self) -> bool:
-        """Whether its drives were twins."""
-        return bool(json.loads(self.definition).get("rehearsed"))
-
-    @property
-    def is_alive(self) -> bool:
-        """Whether its runner runs."""
-        return self.boot == boot() and is_alive(self.pid, self.started)
-
-
-@dataclass(frozen=True, slots=True)
-class LedgerRow:
-    """One attempt at one axis.
-
-    `at`: of its last transition, `began`: of its grant, s since 1970.
-    """
-
-    axis: str
-    attempt: int
-    state: JobState
-    at: float
-    serial: str | None = None
-    run: str | None = None
-    pid: int | None = None
-    started: float | None = None
-    boot: str | None = None
-    confirmed: Confirmed | None = None
-    outcome: Outcome | None = None
-    why: str = ""
-    began: float | None = None
-
-    @property
-    def is_alive(self) -> bool:
-        """Whether the process that moves the axis runs."""
-        return self.boot == boot() and is_alive(self.pid, self.started)
 
 
 class Ledger(OpenJournal):
@@ -252,11 +151,20 @@ class Ledger(OpenJournal):
         with self._errors():
             rows = self._db.execute("SELECT * FROM fleet_runs ORDER BY rowid DESC").fetchall()
             found = [self._record(row) for row in rows]
-        moving = {run for run, _ in self.moving()}
+        moving = {run for run, _ in self.moving()} | self._handed_over(found)
         over = FleetState.FINISHED, FleetState.STOPPED
         return [
             one for one in found if one.id in moving or (one.state not in over and one.is_alive)
         ]
+
+    def _handed_over(self, among: Sequence[FleetRecord]) -> set[str]:
+        """Runs of which an axis is under way on a gateway, as far as is known here."""
+        with self._errors():
+            rows = self._db.execute(
+                "SELECT fleet_run, axis FROM fleet_axes WHERE state=?", (JobState.STARTED,)
+            ).fetchall()
+        of = {one.id: one for one in among}
+        return {run for run, axis in rows if run in of and of[run].place(axis).gateway}
 
     def _record(self, row: sqlite3.Row) -> FleetRecord:
         return self._sound(lambda: FleetRecord(**{**row, "state": FleetState(row["state"])}))
@@ -341,6 +249,14 @@ class Ledger(OpenJournal):
         also = {"run": outcome.run, "outcome": json_of(outcome)} if outcome else {}
         given = JobState.GRANTED, JobState.STARTED, JobState.UNKNOWN
         return self.move(run, axis, attempt, state, why=why, given=given, also=also)
+
+    def fetched(self, run: str, axis: str, attempt: int, outcome: Outcome) -> None:
+        """The run of an attempt that has ended is here now, as the outcome names it."""
+        with self._change() as db:
+            db.execute(
+                "UPDATE fleet_axes SET run=?, outcome=? WHERE fleet_run=? AND axis=? AND attempt=?",
+                (outcome.run, json_of(outcome), run, axis, attempt),
+            )
 
     def revoke(self, run: str, axis: str, attempt: int, why: str) -> bool:
         """Take a grant back; False: it was started already, or never given."""
@@ -472,7 +388,7 @@ class Ledger(OpenJournal):
         return [(row["at"], row["axis"], row["attempt"], row["text"]) for row in rows]
 
     def _row(self, row: sqlite3.Row) -> LedgerRow:
-        return self._sound(lambda: _row(dict(row)))
+        return self._sound(lambda: row_of(dict(row)))
 
     def _sound(self, made: Callable[[], T]) -> T:
         """What a row says, if it is as it must be."""
@@ -487,14 +403,3 @@ class Ledger(OpenJournal):
             "INSERT INTO fleet_events(fleet_run, axis, attempt, at, text) VALUES (?,?,?,?,?)",
             (run, axis, attempt, time.time(), text),
         )
-
-
-def _row(row: dict[str, Any]) -> LedgerRow:
-    """A row as it must be; raises ValueError, TypeError."""
-    row.pop("fleet_run")
-    row["state"] = JobState(row["state"])
-    if row["confirmed"] is not None:
-        row["confirmed"] = of_json(row["confirmed"], Confirmed)
-    if row["outcome"] is not None:
-        row["outcome"] = of_json(row["outcome"], Outcome)
-    return LedgerRow(**row)

@@ -28,7 +28,7 @@ from profiles.axis import Axis, axis_name, load_axis
 from profiles.errors import ProfileError, UnknownName, UsageError
 from profiles.toml_files import parse_tree, read_text, validated
 
-__all__ = ["axis_in", "check_joined", "load_fleet", "one_bus_each"]
+__all__ = ["axis_in", "check_joined", "load_fleet", "one_bus_each", "place_in"]
 
 _OF_A_LINE = "baudrate", "parity", "stopbits", "bitrate", "clock"
 _NO_AXIS = "file", "serial", "after", "gateway", "twin", *OF_THE_JOB
@@ -129,7 +129,7 @@ def _planned(
         if axis_file and of_file.link and entry.link is None:
             _readable(of_file.link, str(axis_file))
     except UsageError as error:
-        group, zone = _place(file, where, entry.group, entry.zone)
+        group, zone = place_in(file, where, entry.group, entry.zone)
         return PlannedAxis(
             name, None, Options(), group, zone, tuple(entry.after), entry.serial, broken=error
         )
@@ -142,7 +142,7 @@ def _planned(
     link = entry.link or of_file.link
     tree = _over(_over(_over(_of_link(link), _said(file.defaults)), said), _said(entry))
     tree["name"] = name
-    group, zone = _place(file, where, tree.get("group"), tree.get("zone"))
+    group, zone = place_in(file, where, tree.get("group"), tree.get("zone"))
     axis = _axis(tree, where)
     if axis.link is None:
         broken = UsageError(f'{where}: has no link; add link = "modbus-tcp://…"')
@@ -165,10 +165,11 @@ def _named_only(path: Path, file: FleetFile, entry: AxisEntry, where: str) -> Pl
         )
     if gateway not in file.gateways:
         raise UnknownName(f"gateway in {path}", gateway, list(file.gateways))
-    group, zone = _place(file, where, tree.get("group"), tree.get("zone"))
+    group, zone = place_in(file, where, tree.get("group"), tree.get("zone"))
+    own = frozenset(key for key in ("group", "zone") if getattr(entry, key) is not None)
     return PlannedAxis(
         entry.name, None, _options(tree), group, zone, tuple(entry.after), entry.serial, gateway,
-        tree.get("twin"),
+        tree.get("twin"), said=own,
     )  # fmt: skip
 
 
@@ -244,8 +245,8 @@ def _beside(path: Path, profile: str | None) -> str | None:
     return str(beside) if beside.exists() else profile
 
 
-def _place(
-    file: FleetFile, where: str, group: str | None, zone: str | None
+def place_in(
+    file: FleetFile | Fleet, where: str, group: str | None, zone: str | None
 ) -> tuple[str | None, str | None]:
     """Group and zone, which are declared, and agree; raises UsageError."""
     if group is not None and group not in file.groups:

@@ -46,6 +46,7 @@ class PlannedAxis:
     broken : why it cannot be tried
     gateway : computer that has its bus; None: this one
     far : what that computer tells of it, once it has been asked
+    said : of group and zone, what is said of the axis itself and not in the defaults
     """
 
     name: str
@@ -60,6 +61,7 @@ class PlannedAxis:
     bus: str = ""
     broken: TwoRelayError | None = None
     far: AtGateway | None = None
+    said: frozenset[str] = frozenset()
 
     @property
     def link(self) -> str:
@@ -94,7 +96,7 @@ class Fleet:
     """A fleet file that is in order; `rehearsed`: its drives are twins.
 
     `defaults` : of an axis, which the axis files of gateways are above, too. `cores`: processors of
-    each gateway that has been asked.
+    each gateway that has been asked. `as_read`: before that.
     """
 
     path: Path
@@ -108,6 +110,7 @@ class Fleet:
     gateways: Mapping[str, Gateway] = field(default_factory=dict)
     defaults: Keys = field(default_factory=Keys)
     cores: Mapping[str, int] = field(default_factory=dict)
+    as_read: Fleet | None = None
 
     def axis(self, name: str) -> PlannedAxis:
         """By its name; raises UnknownName."""
@@ -120,8 +123,8 @@ class Fleet:
     def definition(self) -> dict[str, Any]:
         """All that it asks for, as JSON has it: two are alike where they ask for the same."""
         axes = {}
-        for one in self.axes:
-            here = one.axis if one.gateway is None else None  # else it is the gateway's to say
+        for one in (self.as_read or self).axes:  # the rest is the gateways' to say
+            here = one.axis if one.gateway is None else None
             said = json.loads(here.model_dump_json(exclude_unset=True)) if here else {}
             options = {f.name: getattr(one.options, f.name) for f in fields(one.options)}
             others = {

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from commissioning.fleet.ledger import Ledger, LedgerRow
+from commissioning.fleet.ledger import Ledger
+from commissioning.fleet.rows import LedgerRow
 from commissioning.journal import Journal
 from commissioning.processes import is_alive
 from commissioning.result.fleet import JobState

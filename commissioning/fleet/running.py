@@ -12,19 +12,20 @@ from commissioning.fleet.board import Board
 from commissioning.fleet.conductor import Conductor
 from commissioning.fleet.confirming import check_in_advance
 from commissioning.fleet.crew import Crew
-from commissioning.fleet.gateway.gateways import Gateways, gateways_of
+from commissioning.fleet.gateway.gateways import Gateways, gateways_by, gateways_of
 from commissioning.fleet.ledger import Ledger
 from commissioning.fleet.looking import Seen, held_back, judged, look_at_all, rules_of, task_of
 from commissioning.fleet.pages import folder_of
 from commissioning.fleet.people import People
 from commissioning.fleet.plan import Fleet
+from commissioning.fleet.rows import FleetRecord
 from commissioning.fleet.schedule import makespan, planned
 from commissioning.fleet.serials import Pins
 from commissioning.fleet.taking_up import (
     again,
-    ask_again,
     begin,
     chosen,
+    fetch_left,
     none_under_way,
     only_runner,
     resume,
@@ -35,7 +36,7 @@ from commissioning.result.fleet import FleetJob, FleetResult
 from drivers.home import home
 from profiles.errors import TwoRelayError, UsageError
 
-__all__ = ["FleetWishes", "check", "expected", "met", "run"]
+__all__ = ["FleetWishes", "check", "expected", "met", "reach", "run"]
 
 
 Tell = Callable[[str], None]
@@ -79,8 +80,8 @@ def run(
         in_advance = check_in_advance(known, selected, yes=wishes.yes, terminal=wishes.terminal)
         pins = Pins(fleet.path, kept=not fleet.rehearsed)
         with only_runner(known), Ledger(home()) as ledger:
-            none_under_way(known, ledger, gateways)
-            own, run_id, names = _begun_or_taken_up(known, ledger, wishes, names, gateways)
+            doubtful = none_under_way(known, ledger, reach)
+            own, run_id, names = _begun_or_taken_up(known, ledger, wishes, names)
             opened(run_id)
             if gateways is not None:
                 gateways.use(ledger.record(run_id).key)
@@ -89,7 +90,7 @@ def run(
             conductor = Conductor(
                 Board(own, ledger, run_id), ledger, crew, people, interruption,
                 pins=pins, at_once=wishes.at_once, in_advance=in_advance,
-                can_ask=wishes.terminal,
+                can_ask=wishes.terminal, doubtful=doubtful,
             )  # fmt: skip
             try:
                 result = conductor.run(names)
@@ -99,20 +100,28 @@ def run(
 
 
 def _begun_or_taken_up(
-    fleet: Fleet, ledger: Ledger, wishes: FleetWishes, names: tuple[str, ...],
-    gateways: Gateways | None,
-) -> tuple[Fleet, str, tuple[str, ...]]:  # fmt: skip
+    fleet: Fleet, ledger: Ledger, wishes: FleetWishes, names: tuple[str, ...]
+) -> tuple[Fleet, str, tuple[str, ...]]:
     """The fleet with the job that is to be done, the run, and the axes that are."""
     if wishes.resume is None and not wishes.again:
         return fleet, begin(fleet, ledger, names), names
     record = ledger.record(wishes.resume or "last", fleet.path)
     if wishes.job is None:  # it was begun with
         fleet = replace(fleet, job=record.job)
-    if gateways is not None:
-        ask_again(ledger, record, gateways)
+    fetch_left(ledger, record, reach)
     if wishes.again:
         return fleet, record.id, again(fleet, ledger, record.id, wishes.again, names)
     return fleet, record.id, resume(fleet, ledger, record.id, names)
+
+
+@contextlib.contextmanager
+def reach(record: FleetRecord) -> Generator[Gateways]:
+    """The gateways of a fleet run, as its file was when it began; raises UsageError."""
+    gateways = gateways_by(record)
+    try:
+        yield gateways
+    finally:
+        gateways.close()
 
 
 @contextlib.contextmanager

@@ -205,7 +205,7 @@ def _bound(waiting: Iterable[Task], running: Mapping[Task, float], rules: Rules)
             ("bus", task.bus or task.name): 1.0, ("group", task.group or task.name): 1.0,
             ("zone", task.zone or task.name): rules.zones.get(task.zone, inf),
             ("all", ""): rules.most or inf, ("computer", task.computer): share.most,
-            ("punctual", "" if task.stepping else task.computer): inf if task.stepping
+            ("stepping" if task.stepping else "punctual", task.computer): inf if task.stepping
             else share.punctual,
         }  # fmt: skip
         of_row.update(kinds)

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import replace
+from enum import Enum
 from typing import Protocol
 
-from commissioning.fleet.ledger import FleetRecord, Ledger, LedgerRow
-from commissioning.result.fleet import ENDED, FleetJob, JobState, Outcome
-from profiles.errors import Refused, TwoRelayError
+from commissioning.fleet.ledger import Ledger
+from commissioning.fleet.rows import FleetRecord, LedgerRow
+from commissioning.result.fleet import FleetJob, JobState, Outcome, in_doubt
+from profiles.errors import TwoRelayError
 
-__all__ = ["Elsewhere", "Stands", "settle"]
+__all__ = ["ON_GATEWAY", "Elsewhere", "Known", "Reach", "Stands", "fetch", "settle"]
+
+ON_GATEWAY = "stays on gateway"  # said of a run that was not fetched
 
 
 class Stands(Protocol):
@@ -32,19 +38,17 @@ class Stands(Protocol):
         """Why it is not done."""
 
 
-class Told(Protocol):
-    """Axes whose processes were told to stop."""
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """By name."""
-
-
 class Elsewhere(Protocol):
-    """The gateways of a fleet."""
+    """The gateways of a fleet run."""
 
-    def stop(self, gateway: str, key: str) -> Told:
-        """Have all stopped that runs there for a fleet run; raises TwoRelayError."""
+    def meet(self) -> object:
+        """Greet each; one that cannot be had raises when it is asked."""
+
+    def stop_all(self, key: str) -> Mapping[str, tuple[str, ...] | TwoRelayError]:
+        """Have all stopped that runs for a fleet run.
+
+        By gateway, which axes were told, or why nobody knows; none waits for another.
+        """
 
     def settle(self, gateway: str, key: str, row: LedgerRow, job: FleetJob) -> Stands:
         """How an attempt stands there; not started: it never will be. Raises TwoRelayError."""
@@ -53,26 +57,45 @@ class Elsewhere(Protocol):
         """Fetch a run; its id here. Raises TwoRelayError."""
 
 
-def settle(gateways: Elsewhere | None, ledger: Ledger, record: FleetRecord, row: LedgerRow) -> bool:
-    """Write down what a gateway says of an attempt; whether a process there has the axis still."""
+Reach = Callable[[FleetRecord], AbstractContextManager[Elsewhere]]  # of the file as it was begun
+
+
+class Known(Enum):
+    """What is known of an axis on another computer."""
+
+    MOVES = 1
+    RESTS = 2  # or never moved
+    NOT = 3
+
+
+def settle(gateways: Elsewhere, ledger: Ledger, record: FleetRecord, row: LedgerRow) -> Known:
+    """Ask how an attempt stands, and write it down."""
     gateway = record.place(row.axis).gateway or ""
+    of_it = record.id, row.axis, row.attempt
     try:
-        if gateways is None:
-            raise Refused("the fleet file names no gateway any more")
         going = gateways.settle(gateway, record.key, row, record.job)
     except TwoRelayError as error:
-        ledger.learn(
-            record.id, row.axis, row.attempt, JobState.UNKNOWN, None,
-            f"nobody knows how it ended: {error.text}",
-        )  # fmt: skip
-        return False
-    if going.state in ENDED:
-        outcome = going.outcome
-        if outcome is not None and outcome.run is not None:
-            try:
-                outcome = replace(outcome, run=gateways.take_in(gateway, outcome.run))
-            except (TwoRelayError, OSError) as error:
-                why = f"run {outcome.run} stays on gateway '{gateway}': {error}"
-                ledger.note(record.id, why, row.axis, row.attempt)
-        ledger.learn(record.id, row.axis, row.attempt, going.state, outcome, going.why)
-    return going.alive
+        ledger.learn(*of_it, JobState.UNKNOWN, None, f"nobody knows how it ended: {error.text}")
+        return Known.NOT
+    if going.alive:
+        return Known.MOVES
+    ledger.learn(*of_it, going.state, going.outcome, going.why)
+    fetch(gateways, ledger, record, replace(row, outcome=going.outcome))
+    return Known.NOT if in_doubt(going.state, going.outcome) else Known.RESTS
+
+
+def fetch(gateways: Elsewhere, ledger: Ledger, record: FleetRecord, row: LedgerRow) -> None:
+    """Take in the run of an attempt that has ended, if it has one; what cannot be is noted."""
+    outcome = row.outcome
+    if outcome is None or outcome.run is None:
+        return
+    gateway = record.place(row.axis).gateway or ""
+    try:
+        here = gateways.take_in(gateway, outcome.run)
+    except (TwoRelayError, OSError) as error:
+        why = f"{ON_GATEWAY} '{gateway}': {error}"
+        ledger.note(record.id, f"run {outcome.run} {why}", row.axis, row.attempt)
+        return
+    remarks = [part for part in outcome.remark.split("; ") if ON_GATEWAY not in part]
+    outcome = replace(outcome, run=here, remark="; ".join(filter(None, remarks)))
+    ledger.fetched(record.id, row.axis, row.attempt, outcome)

@@ -6,20 +6,19 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
 from pathlib import Path
 
-from commissioning.fleet.ledger import FleetRecord, Ledger, LedgerRow
-from commissioning.fleet.settling import Elsewhere, settle
+from commissioning.fleet.ledger import Ledger
+from commissioning.fleet.rows import FleetRecord, LedgerRow
+from commissioning.fleet.settling import Known, Reach, settle
 from commissioning.result.fleet import FleetState, JobState
 from drivers.errors import LinkError
 from profiles.errors import TwoRelayError
 
-__all__ = ["Reach", "interrupt", "stop_runs"]
+__all__ = ["interrupt", "stop_runs"]
 
 _PATIENCE, _LOOK = 15.0, 0.2  # s
-Reach = Callable[[FleetRecord], AbstractContextManager[Elsewhere]]
 _OVER = FleetState.FINISHED, FleetState.STOPPED
 
 
@@ -75,32 +74,40 @@ def _stopped(folder: Path, run: str, reach: Reach, *, drain: bool) -> Iterator[s
 
 def _stopped_elsewhere(ledger: Ledger, record: FleetRecord, reach: Reach) -> Iterator[str]:
     """What was handed to gateways, and has not ended by what is known here."""
-    open_ = [row for row in ledger.rows(record.id).values() if _is_open(record, row)]
-    if not open_:
+    left = [row for row in ledger.rows(record.id).values() if _is_open(record, row)]
+    if not left:
         return
+    doubts: dict[str, str] = {}  # axis → why
     with reach(record) as gateways:
-        for name in sorted({record.place(row.axis).gateway or "" for row in open_}):
-            try:
-                told = gateways.stop(name, record.key).axes
-            except TwoRelayError as error:
-                raise LinkError(
-                    f"NOT VERIFIED: gateway '{name}' has not confirmed the stop ({error.text})",
-                    code="stop.not-verified",
-                    hint="the emergency stop, if something moves; or 'tworelay fleet stop' there",
-                ) from None
-            yield f"gateway '{name}': {', '.join(told) or 'nothing of it is under way'} – confirmed"
+        told = gateways.stop_all(record.key)
+        for name in sorted({record.place(row.axis).gateway or "" for row in left}):
+            found = told.get(name, LinkError("it is not known where it is"))
+            if isinstance(found, TwoRelayError):
+                yield f"gateway '{name}': NOT VERIFIED: the stop is not confirmed ({found.text})"
+            else:
+                yield f"gateway '{name}': {', '.join(found) or 'nothing is under way'} – confirmed"
         until = time.monotonic() + _PATIENCE
-        while left := [row.axis for row in open_ if settle(gateways, ledger, record, row)]:
-            if time.monotonic() > until:
-                raise LinkError(f"still under way: {', '.join(left)}", code="stop.not-verified")
-            open_ = [row for row in open_ if row.axis in left]
-            time.sleep(_LOOK)
+        while left:
+            known = {row.axis: settle(gateways, ledger, record, row) for row in left}
+            doubts |= {name: "nobody knows" for name, k in known.items() if k is Known.NOT}
+            left = [row for row in left if known[row.axis] is Known.MOVES]
+            if left and time.monotonic() > until:
+                doubts |= {row.axis: "still under way" for row in left}
+                break
+            time.sleep(_LOOK if left else 0.0)
+    if doubts:
+        names = ", ".join(f"'{name}' ({why})" for name, why in doubts.items())
+        raise LinkError(
+            f"NOT VERIFIED that these are at rest: {names}",
+            code="stop.not-verified",
+            hint="the emergency stop, if something moves; 'tworelay fleet stop' on its gateway",
+        )
 
 
 def _is_open(record: FleetRecord, row: LedgerRow) -> bool:
     """Whether only a gateway knows how an axis stands."""
-    of_gateway = record.place(row.axis).gateway is not None
-    return of_gateway and row.state in (JobState.STARTED, JobState.UNKNOWN)
+    is_open = row.state in (JobState.STARTED, JobState.UNKNOWN)
+    return is_open and record.place(row.axis).gateway is not None
 
 
 def _goes_on(ledger: Ledger, run: str) -> bool:

@@ -9,14 +9,15 @@ import json
 from collections.abc import Generator, Sequence
 
 from commissioning.ending import operator
-from commissioning.fleet.ledger import FleetRecord, Ledger, LedgerRow
+from commissioning.fleet.ledger import Ledger
 from commissioning.fleet.plan import Fleet, PlannedAxis, differences
-from commissioning.fleet.settling import Elsewhere, settle
+from commissioning.fleet.rows import FleetRecord, LedgerRow
+from commissioning.fleet.settling import ON_GATEWAY, Known, Reach, fetch, settle
 from commissioning.locks import Taken, take
 from commissioning.result.fleet import FAILED, MAY_RESUME, JobState
 from profiles.errors import Refused, UnknownName, UsageError
 
-__all__ = ["again", "ask_again", "begin", "chosen", "none_under_way", "only_runner", "resume"]
+__all__ = ["again", "begin", "chosen", "fetch_left", "none_under_way", "only_runner", "resume"]
 
 _DIFFERENCES = 3  # shown
 
@@ -76,7 +77,11 @@ def begin(fleet: Fleet, ledger: Ledger, names: Sequence[str]) -> str:
 
 def _definition(fleet: Fleet) -> dict[str, object]:
     """What was asked for, and where its gateways say that their axes are."""
-    told = {one.name: one.link for one in fleet.axes if one.gateway and one.link}
+    told = {
+        one.name: {"link": one.link, "group": one.group, "zone": one.zone}
+        for one in fleet.axes
+        if one.gateway and one.link
+    }
     return {**fleet.definition, **({"told": told} if told else {})}
 
 
@@ -102,48 +107,75 @@ def only_runner(fleet: Fleet) -> Generator[None]:
         lock.release()
 
 
-def none_under_way(fleet: Fleet, ledger: Ledger, gateways: Elsewhere | None = None) -> None:
+def none_under_way(fleet: Fleet, ledger: Ledger, reach: Reach) -> dict[str, str]:
     """What an earlier runner has granted is revoked; what was started and is no more is unknown.
 
-    What was handed to a gateway stands as that says.
-
-    Raises Refused while a process of it still moves an axis.
+    What was handed to a gateway stands as that says; returns axes of which it says nothing, and
+    why. Raises Refused while a process of it still moves an axis.
     """
     for run, row in ledger.left_open(fleet.path):
         if row.state is JobState.GRANTED:
             ledger.revoke(run, row.axis, row.attempt, "its runner is gone")
-    for run, row in ledger.left_open(fleet.path):
+    elsewhere: dict[str, tuple[FleetRecord, list[LedgerRow]]] = {}
+    for run, row in [*ledger.left_open(fleet.path), *_not_known(fleet, ledger)]:
         record = ledger.record(run)
-        gateway = record.place(row.axis).gateway
-        if gateway is not None:
-            moves, whose = settle(gateways, ledger, record, row), f"on gateway '{gateway}'"
-        else:
-            moves, whose = row.is_alive, f"process {row.pid}"
-        if moves:
-            raise Refused(
-                f"axis '{row.axis}' of fleet run {run} is still under way ({whose}), "
-                "though its runner is gone",
-                code="run.in-progress",
-                hint="wait for it, or 'tworelay fleet stop'",
-            )
-        if gateway is not None:
+        if record.place(row.axis).gateway is not None:
+            elsewhere.setdefault(run, (record, []))[1].append(row)
             continue
+        if row.is_alive:
+            raise _under_way(row.axis, run, f"process {row.pid}")
         ledger.move(
             run, row.axis, row.attempt, JobState.UNKNOWN, given=(JobState.STARTED,),
             why="it was started, and its process is gone",
         )  # fmt: skip
+    doubtful = {}
+    for record, rows in elsewhere.values():
+        with reach(record) as gateways:
+            gateways.meet()
+            for row in rows:
+                known, gateway = settle(gateways, ledger, record, row), record.place(row.axis)
+                if known is Known.MOVES:
+                    raise _under_way(row.axis, record.id, f"on gateway '{gateway.gateway}'")
+                if known is Known.NOT and any(one.name == row.axis for one in fleet.axes):
+                    doubtful[row.axis] = f"nobody knows whether '{row.axis}' is at rest"
+    return doubtful
 
 
-def ask_again(ledger: Ledger, record: FleetRecord, gateways: Elsewhere) -> None:
-    """Of what nobody knew how it had ended: its gateway may answer now. Raises Refused."""
-    for row in ledger.rows(record.id).values():
-        of_gateway = record.place(row.axis).gateway is not None
-        if of_gateway and row.state is JobState.UNKNOWN and settle(gateways, ledger, record, row):
-            raise Refused(
-                f"axis '{row.axis}' is still under way on its gateway",
-                code="run.in-progress",
-                hint="wait for it, or 'tworelay fleet stop'",
-            )
+def _under_way(axis: str, run: str, where: str) -> Refused:
+    return Refused(
+        f"axis '{axis}' of fleet run {run} is still under way ({where}), though its runner is gone",
+        code="run.in-progress",
+        hint="wait for it, or 'tworelay fleet stop'",
+    )
+
+
+def _not_known(fleet: Fleet, ledger: Ledger) -> list[tuple[str, LedgerRow]]:
+    """Axes of the last run of a file that were handed to gateways, and may be known by now."""
+    try:
+        record = ledger.record("last", fleet.path)
+    except UsageError:  # there is none
+        return []
+    return [
+        (record.id, row)
+        for row in ledger.rows(record.id).values()
+        if row.state is JobState.UNKNOWN and record.place(row.axis).gateway is not None
+    ]
+
+
+def fetch_left(ledger: Ledger, record: FleetRecord, reach: Reach) -> None:
+    """Take in what gateways have measured in a run and could not send."""
+    left = [
+        row
+        for row in ledger.attempts(record.id)
+        if row.outcome is not None
+        and ON_GATEWAY in row.outcome.remark
+        and record.place(row.axis).gateway is not None
+    ]
+    if left:
+        with reach(record) as gateways:
+            gateways.meet()
+            for row in left:
+                fetch(gateways, ledger, record, row)
 
 
 def resume(fleet: Fleet, ledger: Ledger, run: str, names: Sequence[str]) -> tuple[str, ...]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from commissioning.fleet.acts import outcome_now
-from commissioning.fleet.ledger import FleetRecord, Ledger, LedgerRow, Place
+from commissioning.fleet.ledger import Ledger
 from commissioning.fleet.plan import Fleet
+from commissioning.fleet.rows import FleetRecord, LedgerRow, Place
 from commissioning.journal import Journal
 from commissioning.result.document import Tool
 from commissioning.result.fleet import (
@@ -84,33 +85,49 @@ def not_begun(fleet: Fleet, why: str, tool: Tool | None) -> FleetResult:
 
 
 def by_the_ledger(
-    ledger: Ledger, run: str, tool: Tool | None, journal: Journal | None = None
-) -> FleetResult:
-    """A fleet run as its ledger has it now, and its drives by the `journal`."""
+    ledger: Ledger, run: str, tool: Tool | None, journal: Journal | None = None,
+    moving: Collection[str] = (),
+) -> FleetResult:  # fmt: skip
+    """A fleet run as its ledger has it now, and its drives by the `journal`.
+
+    `moving` : axes of which their gateways say that they are under way
+    """
     record = ledger.record(run)
     rows = ledger.rows(record.id)
     led = record.is_alive
-    axes = [_axis(row, record.place(row.axis), journal, led=led) for row in rows.values()]
+    axes = [
+        _axis(row, record.place(row.axis), journal, led=led, moves=row.axis in moving)
+        for row in rows.values()
+    ]
     over = record.state in (FleetState.FINISHED, FleetState.STOPPED)
     notes: tuple[str, ...] = ()
     state = record.state
     if not over and not record.is_alive:
         state = FleetState.STOPPED
-        moving = [row for row in rows.values() if row.state is JobState.STARTED and row.is_alive]
+        alive = [row for row in rows.values() if row.state is JobState.STARTED and row.is_alive]
         notes = tuple(
             f"its runner is gone, and process {row.pid} still moves '{row.axis}': wait for it, or "
             "'tworelay fleet stop'"
-            for row in moving
+            for row in alive
         ) or ("its runner is gone",)
+        notes += tuple(
+            f"'{name}' is under way still on gateway '{record.place(name).gateway}': wait for it, "
+            "or 'tworelay fleet stop'"
+            for name in moving
+        )
     notes = (*notes, *ways_on(view(record, axes, state)))
     return view(record, axes, state, tool, notes=notes, rehearsed=record.rehearsed)
 
 
-def _axis(row: LedgerRow, place: Place, journal: Journal | None, *, led: bool) -> FleetAxis:
-    """`led` : its runner is there, which hears of what is on gateways."""
+def _axis(
+    row: LedgerRow, place: Place, journal: Journal | None, *, led: bool, moves: bool
+) -> FleetAxis:
+    """`led` : its runner is there, which hears of what is on gateways; `moves`: its gateway says."""
     state, why = row.state, row.why
     elsewhere = place.gateway is not None
-    if state is JobState.STARTED and not (led if elsewhere else row.is_alive):
+    if moves or (elsewhere and led and state is JobState.STARTED):
+        state = JobState.STARTED
+    elif state is JobState.STARTED and (elsewhere or not row.is_alive):
         state, why = JobState.UNKNOWN, row.why if elsewhere else _GONE
     outcome = row.outcome
     if outcome is not None and journal is not None and not elsewhere:

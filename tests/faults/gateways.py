@@ -365,7 +365,7 @@ def _nonce_of_an_earlier_life(world: World) -> None:
 def _two_nonces_for_one_attempt(world: World) -> None:
     gateway = world.gateways["pc-a"]
     starts = [_offered(world, gateway, "x") for _ in range(2)]
-    assert [_started(gateway, start) for start in starts] == [True, False]
+    assert [_started(gateway, start) for start in starts].count(True) == 1
     world.go_on(20)
     assert world.moved == {("r@host-1", "x", 1): 1}
 

@@ -6,6 +6,7 @@ import itertools
 import sqlite3
 import threading
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -13,6 +14,7 @@ from commissioning.errors import JournalError
 from commissioning.fleet.ledger import Ledger
 from commissioning.fleet.loading import load_fleet
 from commissioning.fleet.plan import Fleet
+from commissioning.fleet.rows import FleetRecord
 from commissioning.fleet.taking_up import none_under_way
 from commissioning.journal import Journal
 from commissioning.result.fleet import ENDED, Confirmed, FleetAxis, JobState, Outcome, Room
@@ -29,6 +31,10 @@ def begun(folder: Path, *names: str) -> tuple[Ledger, str]:
         "line", (folder / "line.toml").resolve(), "identify", '{"axes": {}}', "me", names
     )
     return ledger, run
+
+
+def nobody(record: FleetRecord) -> NoReturn:
+    raise AssertionError("no axis of it is on a gateway")
 
 
 def test_one_of_many_starts_and_the_others_must_not(tmp_path: Path) -> None:
@@ -85,7 +91,7 @@ def test_a_late_process_of_an_attempt_before_finds_it_revoked(tmp_path: Path) ->
     ledger, run = begun(tmp_path, "x")
     with ledger:
         ledger.grant(run, "x", 1, CONFIRMED, "0x1")
-        none_under_way(of(tmp_path), ledger)
+        none_under_way(of(tmp_path), ledger, nobody)
         ledger.again(run, {"x": 1})
         assert ledger.grant(run, "x", 2, CONFIRMED, "0x1")
         assert not ledger.start(run, "x", 1)
@@ -99,12 +105,12 @@ def test_what_was_started_and_has_no_process_is_unknown(tmp_path: Path) -> None:
             ledger.grant(run, name, 1, CONFIRMED, "0x1")
             ledger.start(run, name, 1)
         with raises(Refused, "run.in-progress"):
-            none_under_way(of(tmp_path), ledger)  # it is this very process
+            none_under_way(of(tmp_path), ledger, nobody)  # it is this very process
         with sqlite3.connect(tmp_path / "journal.sqlite") as db:
             db.execute("UPDATE fleet_axes SET boot='another' WHERE axis='x'")
             db.execute("UPDATE fleet_axes SET started=started+100 WHERE axis='y'")
         db.close()
-        none_under_way(of(tmp_path), ledger)
+        none_under_way(of(tmp_path), ledger, nobody)
         assert {row.state for row in ledger.rows(run).values()} == {S.UNKNOWN}
 
 

@@ -24,7 +24,7 @@ from commissioning.fleet.board import Board
 from commissioning.fleet.conductor import Conductor
 from commissioning.fleet.crew import Crew, Spoken
 from commissioning.fleet.gateway.folder import AxisFolder
-from commissioning.fleet.gateway.gateways import Gateways
+from commissioning.fleet.gateway.gateways import Gateways, fleet_of
 from commissioning.fleet.gateway.messages import Going, Which
 from commissioning.fleet.gateway.station import Station
 from commissioning.fleet.ledger import Ledger
@@ -32,8 +32,9 @@ from commissioning.fleet.loading import load_fleet
 from commissioning.fleet.messages import Looked, Order, Report
 from commissioning.fleet.people import Answer, Ask
 from commissioning.fleet.plan import Fleet
+from commissioning.fleet.rows import FleetRecord
 from commissioning.fleet.serials import Pins
-from commissioning.fleet.taking_up import again, ask_again, begin, none_under_way, resume
+from commissioning.fleet.taking_up import again, begin, none_under_way, resume
 from commissioning.interruption import Interruption
 from commissioning.processes import boot, this_process
 from commissioning.result.fleet import FleetResult, JobState, Outcome, Room
@@ -430,6 +431,14 @@ class Client:
             raise LinkError(f"gateway '{gateway}' cannot be reached")
         return FakeWire(self.world, at)
 
+    @contextlib.contextmanager
+    def reach(self, record: FleetRecord) -> Iterator[Gateways]:
+        gateways = Gateways(fleet_of(record), self._opened, Hub(self.world.loop))
+        try:
+            yield gateways
+        finally:
+            gateways.close()
+
     def run(
         self, *, at: Callable[[int, FleetResult], None] = lambda n, result: None,
         take_up: bool = False, do_again: tuple[str, ...] = (),
@@ -445,10 +454,9 @@ class Client:
             gateways.meet()
             fleet = gateways.joined()
             with Ledger(self.home) as ledger:
-                none_under_way(fleet, ledger, gateways)
+                doubtful = none_under_way(fleet, ledger, self.reach)
                 names: tuple[str, ...] = tuple(one.name for one in fleet.axes)
                 if take_up or do_again:
-                    ask_again(ledger, ledger.record(self.run_id), gateways)
                     if do_again:
                         names = again(fleet, ledger, self.run_id, do_again, names)
                     else:
@@ -460,7 +468,7 @@ class Client:
                 conductor = Conductor(
                     Board(fleet, ledger, self.run_id), ledger, crew, self.people,
                     self.interruption, pins=Pins(fleet.path, kept=False), at_once=None,
-                    in_advance="in a test", clock=world.loop.time,
+                    in_advance="in a test", clock=world.loop.time, doubtful=doubtful,
                 )  # fmt: skip
                 with contextlib.suppress(Interrupted), self.interruption.deferred():
                     result = conductor.run(names)
@@ -481,6 +489,10 @@ class Client:
         with Ledger(self.home) as ledger:
             rows = ledger.rows(self.run_id)
         return {name: (row.attempt, row.state) for name, row in rows.items()}
+
+    def attempts(self) -> list[tuple[str, int, JobState]]:
+        with Ledger(self.home) as ledger:
+            return [(row.axis, row.attempt, row.state) for row in ledger.attempts(self.run_id)]
 
     def grants(self) -> Counter[tuple[str, int]]:
         """How often each attempt was granted."""
@@ -566,7 +578,7 @@ class World:
             key = client.key
             for attempted, times in client.grants().items():
                 assert times == 1, f"{attempted} was granted {times} times"
-            for axis, (attempt, state) in client.states().items():
+            for axis, attempt, state in client.attempts():
                 moved = self.moved[key, axis, attempt]
                 if state is JobState.DONE:
                     assert moved == 1, f"{axis} is done, and never moved"

@@ -16,7 +16,7 @@ from commissioning.cli.terminal import Screen
 from profiles.errors import TwoRelayError, UsageError
 
 if TYPE_CHECKING:
-    from commissioning.fleet.ledger import FleetRecord
+    from commissioning.fleet.rows import FleetRecord
 
 __all__ = ["command"]
 

@@ -8,6 +8,7 @@ from commissioning.cli.helping import Helpful
 from commissioning.cli.options import verbose
 from commissioning.cli.output import document
 from commissioning.cli.terminal import Screen
+from profiles.errors import TwoRelayError
 
 __all__ = ["command"]
 
@@ -27,9 +28,14 @@ def command(run: str, as_json: bool) -> None:
     from commissioning.result.fleet_codec import fleet_text
     from drivers.home import home
 
-    left = list(bring_up_to_date(run))
+    moving: tuple[str, ...] = ()
+    left: tuple[str, ...] = ()
+    try:
+        moving = bring_up_to_date(run)
+    except TwoRelayError as error:
+        left = (f"its gateways could not be asked: {error}",)
     with Ledger(home(), reading=True) as ledger, Journal(home(), reading=True) as journal:
-        result = by_the_ledger(ledger, run, tool(), journal)
+        result = by_the_ledger(ledger, run, tool(), journal, moving)
     if as_json:
         document(fleet_text(result))
         return

@@ -38,7 +38,10 @@ def host_and_port(address: str) -> tuple[str, int]:
 def keys_folder(fleet: Path, said: str | None) -> Path:
     """As the fleet file says, beside it; else 'keys' beside it, or in the home."""
     if said is not None:
-        return fleet.parent / Path(said).expanduser()
+        try:
+            return fleet.parent / Path(said).expanduser()
+        except RuntimeError:
+            raise UsageError(f"keys = '{said}': there is no such user") from None
     beside = fleet.parent / "keys"
     return beside if beside.is_dir() else home() / "keys"
 
@@ -98,6 +101,8 @@ async def probe(name: str, address: str, tls: ssl.SSLContext) -> None:
             f"{where}: {why}", code="gateway.certificate",
             hint="'tworelay fleet keys' makes certificates of one authority",
         ) from None  # fmt: skip
+    except (UnicodeError, ValueError) as error:
+        raise UsageError(f"{where}: is no address ({error})") from None
     except TimeoutError:
         raise LinkError(f"{where}: no answer in {_PROBE:.0f} s", code="gateway.lost") from None
     except OSError as error:

@@ -195,8 +195,9 @@ async def serve(
     ear = threading.Thread(target=_hear, args=(made, over), daemon=True)
     with tempfile.TemporaryDirectory(prefix="tworelay-") as scratch:
         try:
-            scheduler = await _Scheduler(*address, tls)
-        except (OSError, RuntimeError) as error:
+            host, port = address
+            scheduler = await _Scheduler(f"[{host}]" if ":" in host else host, port, tls)
+        except (OSError, RuntimeError, ValueError) as error:
             cause: BaseException = error
             while cause.__cause__ is not None:
                 cause = cause.__cause__

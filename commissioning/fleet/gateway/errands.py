@@ -25,6 +25,7 @@ from commissioning.fleet.gateway.messages import (
     Which,
 )
 from commissioning.fleet.messages import Order, Report
+from commissioning.fleet.settling import ON_GATEWAY
 from commissioning.result.endings import Error
 from commissioning.result.fleet import ENDED, JobState, Outcome
 from drivers.errors import LinkLost
@@ -99,7 +100,7 @@ class FarWorker(Worker):
             self._at_work = False
             self._say(Report("ended", state=JobState.STOPPED))
             return
-        self._begin(self._stop(self._order))
+        self._begin(self._stop(self._order, secrets.token_hex(8)))
 
     def dismiss(self) -> None:
         """A gateway keeps its own processes."""
@@ -213,25 +214,21 @@ class FarWorker(Worker):
             self._say(Report("tell", text=f"fetching run {outcome.run}"))
             try:
                 outcome = replace(outcome, run=await self._take_in(self._far, outcome.run))
-            except (TwoRelayError, OSError) as error:
-                left = f"run {outcome.run} stays on gateway '{self.gateway}': {error}"
+            except Exception as error:  # the axis has ended well, whatever becomes of its files
+                left = f"run {outcome.run} {ON_GATEWAY} '{self.gateway}': {error}"
                 outcome = replace(outcome, remark="; ".join(filter(None, (outcome.remark, left))))
         return Report("ended", state=going.state, outcome=outcome, error=outcome.error)
 
-    async def _stop(self, order: Order) -> None:
+    async def _stop(self, order: Order, request: str) -> None:
         """Until the gateway says that it has told the process, or the job has ended."""
-        if self._is_stopping:  # once more: the process heeds the second, too
-            with contextlib.suppress(TwoRelayError):
-                await self._far.ask("stop", Stop(self._whose.run, order.name), Stopped)
-            return
         self._is_stopping = True
         loop = asyncio.get_running_loop()
         since, told = loop.time(), False
         while self._at_work and self._order is order:
-            stop = Stop(self._whose.run, order.name)
+            stop = Stop(self._whose.run, request, order.name)
             try:
                 reached = (await self._far.ask("stop", stop, Stopped, _CONFIRMED)).axes
-            except TwoRelayError:
+            except Exception:  # whatever it is: it is not known to have been told
                 if not told and loop.time() - since >= _CONFIRMED:
                     told = True
                     text = (

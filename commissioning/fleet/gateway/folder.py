@@ -40,24 +40,25 @@ class AxisFolder:
             found[name] = path
         return found
 
-    def path(self, name: str) -> Path:
+    def path(self, name: str, files: Mapping[str, Path] | None = None) -> Path:
         """File of an axis; raises UnknownName."""
-        files = self.files()
+        files = self.files() if files is None else files
         if name not in files:
             raise UnknownName(f"axis of this gateway ({self._folder})", name, list(files))
         return files[name]
 
-    def axis(self, name: str, below: Keys) -> Axis:
+    def axis(self, name: str, below: Keys, files: Mapping[str, Path] | None = None) -> Axis:
         """An axis as its file says it, above the defaults of a fleet; raises UsageError."""
-        axis = axis_in(self.path(name), below)
+        axis = axis_in(self.path(name, files), below)
         return axis.model_copy(update={"name": name})
 
     def tell(self, names: tuple[str, ...], below: Keys, home: Path) -> Iterator[FarAxis]:
         """Each of these, as it is here."""
+        files = self.files()
         with Journal(home, reading=True) as journal:
             for name in names:
                 try:
-                    axis = self.axis(name, below)
+                    axis = self.axis(name, below, files)
                 except TwoRelayError as error:
                     yield FarAxis(name, error=error_of(error))
                 else:

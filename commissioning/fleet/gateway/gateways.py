@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import platform
 import queue
+import secrets
 import tempfile
 import threading
 from collections.abc import Callable, Coroutine, Mapping
@@ -13,9 +14,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from commissioning.desk import Desk
+from commissioning.desk import Desk, Options
 from commissioning.ending import operator, tool
 from commissioning.fleet.crew import Spoken, Worker
+from commissioning.fleet.file import Gateway
 from commissioning.fleet.gateway.errands import FarWorker, FleetOf
 from commissioning.fleet.gateway.lines import Far, Opened
 from commissioning.fleet.gateway.messages import (
@@ -33,10 +35,10 @@ from commissioning.fleet.gateway.messages import (
     Which,
 )
 from commissioning.fleet.gateway.parcels import received, unpack
-from commissioning.fleet.ledger import LedgerRow
-from commissioning.fleet.loading import check_joined, one_bus_each
+from commissioning.fleet.loading import check_joined, one_bus_each, place_in
 from commissioning.fleet.plan import AtGateway as Told
 from commissioning.fleet.plan import Fleet, PlannedAxis
+from commissioning.fleet.rows import FleetRecord, LedgerRow
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
 from commissioning.result.fleet import FleetJob
@@ -46,9 +48,10 @@ from drivers.home import home
 from profiles.axis import Axis
 from profiles.errors import Refused, TwoRelayError, UsageError
 
-__all__ = ["Background", "Gateways", "Loop", "gateways_of"]
+__all__ = ["Background", "Gateways", "Loop", "fleet_of", "gateways_by", "gateways_of"]
 
 _MEET = 15.0  # s, for all of them together
+_OF_THE_FLEET = {"group", "zone", "gateway", "twin"}  # of its defaults, and no matter of gateways
 _CALL = 300.0  # s that a call which is waited for may take
 T = TypeVar("T")
 
@@ -77,7 +80,11 @@ class Background:
     def do(self, work: Coroutine[Any, Any, T]) -> T:
         """Do it there, and wait for it here."""
         future: Future[T] = asyncio.run_coroutine_threadsafe(work, self._loop)
-        return future.result(_CALL)
+        try:
+            return future.result(2 * _CALL)
+        except TimeoutError:
+            future.cancel()
+            raise LinkError("a gateway does not answer", code="gateway.lost") from None
 
     def begin(self, work: Coroutine[Any, Any, None]) -> Callable[[], object]:
         """Have it done there."""
@@ -95,7 +102,7 @@ class Gateways:
     def __init__(self, fleet: Fleet, opened: Opened, loop: Loop) -> None:
         self._fleet = fleet
         self._loop = loop
-        below = fleet.defaults.model_dump_json(exclude_unset=True)
+        below = fleet.defaults.model_dump_json(exclude_unset=True, exclude=_OF_THE_FLEET)
         self._whose = FleetOf(
             "", below, str(fleet.path.resolve()), operator() or "", platform.node()
         )
@@ -108,10 +115,11 @@ class Gateways:
         """Greet each; what they tell, or why they cannot be had. Nothing is started by that."""
 
         async def one(far: Far) -> Axes | TwoRelayError:
-            names = tuple(one.name for one in self._fleet.axes if one.gateway == far.name)
+            axes = [one for one in self._fleet.axes if one.gateway == far.name]
+            names = tuple(one.name for one in axes if one.name != one.gateway)
             try:
                 async with asyncio.timeout(_MEET):
-                    return await far.meet(replace(self._ask, axes=names))
+                    return await far.meet(replace(self._ask, axes=names), _MEET)
             except TwoRelayError as error:
                 return error
             except TimeoutError:
@@ -149,7 +157,7 @@ class Gateways:
             name: found.gateway.cores
             for name, found in self._met.items() if isinstance(found, Axes)
         }  # fmt: skip
-        fleet = replace(self._fleet, axes=tuple(axes), cores=cores)
+        fleet = replace(self._fleet, axes=tuple(axes), cores=cores, as_read=self._fleet)
         check_joined(fleet)
         return fleet
 
@@ -160,14 +168,29 @@ class Gateways:
         if told is None or told.error is not None:
             text = told.error.text if told and told.error else "it is not told of"
             return replace(one, broken=UsageError(f"gateway '{one.gateway}': {text}"))
-        axis = Axis.model_validate_json(told.axis)
+        try:
+            axis = Axis.model_validate_json(told.axis)
+            group, zone = self._place(one, axis)
+        except TwoRelayError as error:
+            return replace(one, broken=error)
+        except ValueError as error:
+            text = f"gateway '{one.gateway}' tells of '{one.name}' what is not understood: {error}"
+            return replace(one, broken=Refused(text, code="gateway.version"))
+        far = Told(told.stepping, told.simulated, told.cut_off)
+        return replace(one, axis=axis, far=far, group=group, zone=zone)
+
+    def _place(self, one: PlannedAxis, axis: Axis) -> tuple[str | None, str | None]:
+        """Group and zone: as said of the axis here, else in its file, else in the defaults."""
+        found: dict[str, str | None] = {}
         for key in ("group", "zone"):
             mine, its = getattr(one, key), getattr(axis, key)
-            if mine and its and mine != its:
-                text = f"{key} of '{one.name}' is '{mine}' here, and '{its}' on '{one.gateway}'"
-                return replace(one, broken=UsageError(text))
-        far = Told(told.stepping, told.simulated, told.cut_off)
-        return replace(one, axis=axis, far=far)
+            if mine and its and mine != its and key in one.said:
+                raise UsageError(
+                    f"{key} of '{one.name}' is '{mine}' here, and '{its}' on '{one.gateway}'"
+                )
+            found[key] = mine if key in one.said else its or mine
+        where = f"{self._fleet.path}: '{one.name}', by its file on '{one.gateway}'"
+        return place_in(self._fleet, where, found["group"], found["zone"])
 
     # -- during a run -----------------------------------------------------------------------------
 
@@ -195,9 +218,26 @@ class Gateways:
         far = self._there(gateway)
         return self._loop.do(far.ask("settle", Which(key, row.axis, row.attempt, job), Going))
 
-    def stop(self, gateway: str, key: str) -> Stopped:
-        """Have all stopped that runs there for a fleet run; raises TwoRelayError."""
-        return self._loop.do(self._there(gateway).ask("stop", Stop(key), Stopped))
+    def stop_all(self, key: str) -> Mapping[str, tuple[str, ...] | TwoRelayError]:
+        """Have all stopped that runs for a fleet run, on each as soon as it is there."""
+        stop = Stop(key, secrets.token_hex(8))
+
+        async def one(far: Far) -> tuple[str, ...] | TwoRelayError:
+            try:
+                async with asyncio.timeout(_MEET):
+                    if self._met.get(far.name) is None:
+                        self._met[far.name] = await far.meet(replace(self._ask, axes=()))
+                    return (await far.ask("stop", stop, Stopped)).axes
+            except TwoRelayError as error:
+                self._met.setdefault(far.name, error)
+                return error
+            except TimeoutError:
+                return LinkError(f"no answer in {_MEET:.0f} s", code="gateway.lost")
+
+        async def all_of_them() -> list[tuple[str, ...] | TwoRelayError]:
+            return await asyncio.gather(*(one(far) for far in self._far.values()))
+
+        return dict(zip(self._far, self._loop.do(all_of_them()), strict=True))
 
     def restore(self, gateway: str, asked: Restore) -> PutBack:
         """Have settings put back there, or shown; raises TwoRelayError."""
@@ -223,6 +263,26 @@ class Gateways:
 
         self._loop.do(all_of_them())
         self._loop.close()
+
+
+def gateways_by(record: FleetRecord) -> Gateways:
+    """Those of a fleet run as its file was when it began, whatever that says now.
+
+    Raises UsageError.
+    """
+    from commissioning.fleet.gateway.addresses import opener
+
+    fleet = fleet_of(record)
+    return Gateways(fleet, opener(fleet), Background())
+
+
+def fleet_of(record: FleetRecord) -> Fleet:
+    """What is left of a fleet file in the ledger: its gateways, an axis of each to name it."""
+    gateways = {name: Gateway.model_validate(dict(one)) for name, one in record.gateways.items()}
+    axes = tuple(PlannedAxis(name, None, Options(), gateway=name) for name in gateways)
+    return Fleet(
+        Path(record.file), record.name, record.job, "each", axes, {}, {}, gateways=gateways
+    )
 
 
 def gateways_of(fleet: Fleet) -> Gateways | None:

@@ -110,7 +110,10 @@ def make(
             raise UsageError(
                 f"{path}: is there already, and is not replaced", hint="move it away first"
             )
-    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except OSError as error:
+        raise UsageError(f"{folder}: is no folder, and cannot be made: {error.strerror}") from None
     ca, ca_key = _authority(folder)
     for role, name in wanted:
         files = _files(folder, role, name)

@@ -54,11 +54,11 @@ class Far:
         self.lost_since: float | None = None
         self._there = asyncio.Event()
 
-    async def meet(self, ask: Ask) -> Axes:
+    async def meet(self, ask: Ask, seconds: float = _ANSWER) -> Axes:
         """Open the line and greet; raises TwoRelayError. From then on it is kept open."""
         self._line = await self._opened(self.name)
         try:
-            found = await self._said("hello", ask, Axes, _ANSWER)
+            found = await self._said("hello", ask, Axes, seconds)
         except TwoRelayError:
             await self._drop()
             raise
@@ -71,7 +71,7 @@ class Far:
         """Let go of it; what was started there goes on."""
         if self._tending is not None:
             self._tending.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
+            with contextlib.suppress(asyncio.CancelledError, Exception):
                 await self._tending
         await self._drop()
 
@@ -131,7 +131,7 @@ class Far:
                     await self._open()
                 await self._hear_news()
                 pause = _AGAIN[0]
-            except TwoRelayError:
+            except Exception:  # whatever it is, the line is opened anew
                 await self._drop()
                 await asyncio.sleep(pause)
                 pause = min(2 * pause, _AGAIN[1])
@@ -167,5 +167,5 @@ class Far:
             self._there.clear()
             self.lost_since = asyncio.get_running_loop().time()
         if line is not None:
-            with contextlib.suppress(TwoRelayError):
+            with contextlib.suppress(Exception):
                 await line.close()

@@ -199,9 +199,13 @@ class Going:
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """stop: what runs of a fleet run, or one axis of it."""
+    """stop: what runs of a fleet run, or one axis of it.
+
+    `request` : of people: however often it is sent, a process is told once of each
+    """
 
     run: str
+    request: str
     axis: str = ""
 
 

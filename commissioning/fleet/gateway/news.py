@@ -31,6 +31,8 @@ class Newsroom:
             if report.kind == "pulse":
                 self._pieces.pop(self._pulses.get((run, axis), 0), None)
                 self._pulses[run, axis] = self._number + 1
+            else:
+                self._pulses.pop((run, axis), None)
             self._number += 1
             self._pieces[self._number] = run, Piece(self._number, axis, attempt, report)
             if len(self._pieces) > _MOST:

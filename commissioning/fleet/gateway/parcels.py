@@ -5,7 +5,9 @@ from __future__ import annotations
 import base64
 import io
 import tempfile
+import threading
 import zipfile
+import zlib
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
@@ -28,18 +30,20 @@ class Parcels:
     def __init__(self, home: Path) -> None:
         self._home = home
         self._packed: dict[str, bytes] = {}
+        self._lock = threading.Lock()
 
     def chunk(self, asked: Chunk) -> Chunk:
         """The bytes from `begin` on; raises UsageError where there is no such run."""
-        packed = self._packed.get(asked.run)
-        if packed is None or asked.begin == 0:
-            packed = self._pack(asked.run)
-            self._packed[asked.run] = packed
-            while len(self._packed) > _KEPT:
-                del self._packed[next(iter(self._packed))]
+        with self._lock:
+            packed = self._packed.get(asked.run)
+            if packed is None or asked.begin == 0:
+                packed = self._pack(asked.run)
+                self._packed[asked.run] = packed
+                while len(self._packed) > _KEPT:
+                    del self._packed[next(iter(self._packed))]
+            if asked.begin + _CHUNK >= len(packed):
+                self._packed.pop(asked.run, None)
         part = packed[asked.begin : asked.begin + _CHUNK]
-        if asked.begin + _CHUNK >= len(packed):
-            self._packed.pop(asked.run, None)
         return Chunk(asked.run, asked.begin, len(packed), base64.b64encode(part).decode())
 
     def _pack(self, run: str) -> bytes:
@@ -60,7 +64,10 @@ async def received(run: str, ask: Callable[[Chunk], Awaitable[Chunk]]) -> bytes:
     data = bytearray()
     while True:
         chunk = await ask(Chunk(run, len(data)))
-        part = base64.b64decode(chunk.data)
+        try:
+            part = base64.b64decode(chunk.data)
+        except ValueError:
+            raise UsageError(f"run {run}: what the gateway sends is no run") from None
         data += part
         if chunk.total > _MOST or len(data) > chunk.total or (not part and chunk.total):
             raise UsageError(f"run {run}: what the gateway sends is no run")
@@ -80,5 +87,5 @@ def unpack(data: bytes, folder: Path) -> None:
                 if name != one.filename or "\\" in name or one.is_dir():
                     raise UsageError(f"what the gateway sends has a file '{one.filename:.80}'")
                 (folder / name).write_bytes(archive.read(one))
-    except zipfile.BadZipFile as error:
+    except (zipfile.BadZipFile, RuntimeError, EOFError, ValueError, zlib.error) as error:
         raise UsageError(f"what the gateway sends is no run: {error}") from None

@@ -20,6 +20,7 @@ from profiles.errors import Refused, UsageError
 __all__ = ["run_gateway"]
 
 _LOOK = 0.1  # s
+_TO_FETCH = 10.0  # s
 Tell = Callable[[str], None]
 Hire = Callable[[Path], Crew]
 
@@ -101,4 +102,7 @@ async def _until_told(
             tell(f"{', '.join(station.moving)}: stopped")
             station.interrupt()
         await asyncio.sleep(_LOOK)
+    until = asyncio.get_running_loop().time() + _TO_FETCH
+    while station.is_awaited and asyncio.get_running_loop().time() < until:
+        await asyncio.sleep(_LOOK)  # a client hears how it ended, and fetches what was measured
     ended.set()

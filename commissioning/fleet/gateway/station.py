@@ -50,8 +50,9 @@ from commissioning.fleet.gateway.messages import (
 from commissioning.fleet.gateway.news import Newsroom
 from commissioning.fleet.gateway.parcels import Parcels
 from commissioning.fleet.gateway.putting_back import put_back
-from commissioning.fleet.ledger import Ledger, LedgerRow, Whose
+from commissioning.fleet.ledger import Ledger
 from commissioning.fleet.messages import Order, Report
+from commissioning.fleet.rows import LedgerRow, Whose
 from commissioning.fleet.stopping import interrupt
 from commissioning.processes import clock
 from commissioning.result.endings import Error
@@ -63,6 +64,7 @@ from profiles.errors import Refused, TwoRelayError, UsageError
 
 __all__ = ["GOOD_FOR", "Station"]
 
+_RECENT = 3.0  # s, in which a client that is there asks for news
 GOOD_FOR = 30.0  # s: an offer, by the clock of the gateway
 _CLEAN = JobState.DONE, JobState.NOT_HELPED, JobState.REJECTED, JobState.REFUSED
 
@@ -73,6 +75,11 @@ class _Offered(NamedTuple):
     offer: Offer
     until: float
     confirmed: str
+
+    @property
+    def of_it(self) -> tuple[str, str, int]:
+        """Fleet run, axis and attempt."""
+        return self.offer.run, self.offer.order.name, self.offer.order.attempt
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +114,8 @@ class Station:
         self._parcels = Parcels(home)
         self._offers: dict[str, _Offered] = {}
         self._at: dict[Worker, _At] = {}
+        self._stops: set[tuple[str, str, str]] = set()  # fleet run, axis, request
+        self._asked = -_RECENT  # s, when a client was last heard
         self._lock = threading.Lock()  # of offers, workers and what they are at
         self._verbs: dict[str, Callable[[Any], object]] = {
             "hello": self._hello, "look": self._look, "offer": self._offer, "start": self._start,
@@ -126,6 +135,7 @@ class Station:
                     f"gateway '{self.name}' does not understand '{verb}': {error}",
                     code="gateway.version", hint="install one version on both computers",
                 ) from None  # fmt: skip
+            self._asked = self._clock()
             return "+" + json_of(self._verbs[verb](asked))
         except TwoRelayError as error:
             return "-" + json_of(Declined(error.code, error.text, error.exit_code, error.hint))
@@ -156,6 +166,11 @@ class Station:
     def _look(self, part: Part) -> Started:
         self._check_open()
         axis = self._folder.check_same(part.order.name, _below(part.below), part.order.axis)
+        of_it = part.run, part.order.name, part.order.attempt
+        with self._lock:
+            for worker, at in self._at.items():
+                if at.order.act == "look" and (at.run, at.order.name, at.order.attempt) == of_it:
+                    return Started(worker.pid)  # it was asked for twice
         return Started(self._put_to_work(part.run, part.order, axis, anew=False))
 
     def _offer(self, offer: Offer) -> Offered:
@@ -163,15 +178,16 @@ class Station:
         order = offer.order
         self._folder.check_same(order.name, _below(offer.below), order.axis)
         now = self._clock()
+        of_it = offer.run, order.name, order.attempt
         with self._lock:
-            self._offers = {key: one for key, one in self._offers.items() if one.until > now}
+            self._offers = {
+                key: one for key, one in self._offers.items()
+                if one.until > now and one.of_it != of_it
+            }  # fmt: skip
             others = [one.offer for one in self._offers.values() if one.offer.run != offer.run]
         with Ledger(self._home) as ledger:
-            moving = ledger.moving()
-            known = ledger.row(offer.run, order.name, order.attempt)
-        for run, row in moving:
-            if run != offer.run or row.axis == order.name:
-                raise self._is_taken(run, row.axis)
+            known = ledger.row(*of_it)
+            self._check_free(offer, ledger)
         for other in others:
             raise self._is_taken(other.run, other.order.name)
         if known is not None:
@@ -184,6 +200,15 @@ class Station:
         with self._lock:
             self._offers[nonce] = _Offered(offer, now + GOOD_FOR, _hash(order))
         return Offered(nonce)
+
+    def _check_free(self, offer: Offer, ledger: Ledger) -> None:
+        """Raises Refused where another fleet run moves something here, or this axis is moved."""
+        with self._lock:
+            taken = [(at.run, at.order.name) for at in self._at.values() if at.order.act == "job"]
+        taken += [(run, row.axis) for run, row in ledger.moving()]
+        for run, axis in taken:
+            if run != offer.run or axis == offer.order.name:
+                raise self._is_taken(run, axis)
 
     def _is_taken(self, run: str, axis: str) -> Refused:
         return Refused(
@@ -206,6 +231,7 @@ class Station:
         offer, order = offered.offer, offered.offer.order
         axis = self._folder.check_same(order.name, _below(offer.below), order.axis)
         with Ledger(self._home) as ledger:
+            self._check_free(offer, ledger)
             granted = ledger.admit(
                 offer.run, order.name, order.attempt, JobState.GRANTED, order.job,
                 f"confirmed as {offered.confirmed[:16]}",
@@ -255,17 +281,28 @@ class Station:
                 key: one for key, one in self._offers.items() if not _is_of(stop, one.offer)
             }
             at_work = [(worker, at) for worker, at in self._at.items() if _is_of(stop, at)]
-        for worker, _ in at_work:
-            worker.interrupt()
+        for worker, at in at_work:
+            if self._is_new(stop, at.order.name):
+                worker.interrupt()
         told = [at.order.name for _, at in at_work]
-        with Ledger(self._home, reading=True) as ledger:  # of an earlier life of this gateway
-            left = [row for run, row in ledger.moving() if run == stop.run]
-        for row in left:
-            if row.axis not in told and stop.axis in ("", row.axis):
-                with contextlib.suppress(OSError):
-                    interrupt(row)
+        with contextlib.suppress(JournalError):
+            with Ledger(self._home, reading=True) as ledger:  # of an earlier life of this gateway
+                left = [row for run, row in ledger.moving() if run == stop.run]
+            for row in left:
+                if row.axis not in told and stop.axis in ("", row.axis):
                     told.append(row.axis)
+                    if self._is_new(stop, row.axis):
+                        with contextlib.suppress(OSError):
+                            interrupt(row)
         return Stopped(tuple(told))
+
+    def _is_new(self, stop: Stop, axis: str) -> bool:
+        """Whether a process has not been told of this request: twice would mean more than once."""
+        with self._lock:
+            mark = stop.run, axis, stop.request
+            is_new = mark not in self._stops
+            self._stops.add(mark)
+        return is_new
 
     def _tell(self, since: Since) -> News:
         return self._news.since(since)
@@ -274,6 +311,8 @@ class Station:
         return self._parcels.chunk(chunk)
 
     def _restore(self, restore: Restore) -> PutBack:
+        for axis in self.moving:
+            raise self._is_taken("under way", axis)
         with Ledger(self._home, reading=True) as ledger:
             for run, row in ledger.moving():
                 raise self._is_taken(run, row.axis)
@@ -331,6 +370,11 @@ class Station:
             workers = list(self._at)
         for worker in workers:
             worker.interrupt()
+
+    @property
+    def is_awaited(self) -> bool:
+        """Whether a client is there that has not heard all, or is fetching."""
+        return self._clock() - self._asked < _RECENT
 
     @property
     def moving(self) -> tuple[str, ...]:

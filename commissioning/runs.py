@@ -217,7 +217,7 @@ def left_in_drive(result: RunResult, history: History) -> tuple[Written, ...]:
     """
     before, changes = history.before(), {c.parameter: c for c in _changes(result)}
     kinds = {intent.parameter: intent.kind for intent in history.intents if intent.lasts}
-    left = {one.parameter: one for one in result.written if one.parameter not in before}
+    left = {one.parameter: one for one in result.written if one.parameter not in history.image}
     for name, old in before.items():
         cell, change = history.image.get(name), changes.get(name)
         goal = None if change is None else change.new_raw

@@ -247,9 +247,9 @@ def is_simulated(text: str) -> bool:
     if link.device:
         return _is_pseudo_terminal(link.device)
     if link.scheme != "canopen":
-        return _is_loopback(host_and_port(link)[0])
+        return is_loopback(host_and_port(link)[0])
     found = _SOCKETCAND.fullmatch(link.channel) if link.interface == "socketcand" else None
-    return found is not None and _is_loopback(found["host"])
+    return found is not None and is_loopback(found["host"])
 
 
 def _is_pseudo_terminal(device: str) -> bool:
@@ -257,7 +257,7 @@ def _is_pseudo_terminal(device: str) -> bool:
     return re.fullmatch(r"/dev/pts/\d+", os.path.realpath(device)) is not None
 
 
-def _is_loopback(host: str) -> bool:
+def is_loopback(host: str) -> bool:
     try:
         return host == "localhost" or ip_address(host.strip("[]")).is_loopback
     except ValueError:

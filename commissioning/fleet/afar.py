@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
+from dataclasses import replace
 
 from commissioning.fleet.gateway.gateways import Gateways
 from commissioning.fleet.gateway.messages import PutBack, Restore
@@ -14,7 +16,7 @@ from commissioning.result.fleet import FleetState, JobState
 from drivers.home import home
 from profiles.errors import TwoRelayError
 
-__all__ = ["bring_up_to_date", "on_gateways", "put_back_on", "reach"]
+__all__ = ["bring_up_to_date", "note_put_back", "on_gateways", "put_back_on", "reach"]
 
 _OVER = FleetState.FINISHED, FleetState.STOPPED
 _OPEN = JobState.STARTED, JobState.UNKNOWN
@@ -60,6 +62,24 @@ def on_gateways(record: FleetRecord, ledger: Ledger, axes: Sequence[str]) -> dic
             if row.axis not in names:
                 names.append(row.axis)
     return found
+
+
+def note_put_back(gateways: Gateways, record: FleetRecord, axes: Sequence[str]) -> None:
+    """Write down what the drives of these have now, as their gateways say."""
+    with Ledger(home()) as ledger:
+        for row in ledger.rows(record.id).values():
+            gateway = record.place(row.axis).gateway
+            if row.axis not in axes or gateway is None or row.outcome is None:
+                continue
+            with contextlib.suppress(TwoRelayError):
+                now = gateways.settle(gateway, record.key, row, record.job).outcome
+                if now is None:
+                    continue
+                remark = row.outcome.remark
+                if row.outcome.written and not now.written:
+                    remark = "; ".join(filter(None, (remark, "its values were put back since")))
+                now = replace(now, run=row.outcome.run, remark=remark, sha256=row.outcome.sha256)
+                ledger.fetched(record.id, row.axis, row.attempt, now)
 
 
 def put_back_on(gateways: Gateways, gateway: str, asked: Restore) -> PutBack:

@@ -89,9 +89,12 @@ def _file(path: Path) -> FleetFile:
         return validated(tree, FleetFile, str(path))
     except ProfileError as error:
         text = re.sub(
+            r"\[axes\] (\d+):", lambda found: f"[[axes]] number {int(found[1]) + 1}:", error.text
+        )
+        text = re.sub(
             r"\[axes\.(\d+)([^\]]*)\]",
             lambda found: f"[[axes]] number {int(found[1]) + 1}{found[2].replace('.', ' ')}:",
-            error.text,
+            text,
         )
         raise ProfileError(text) from None
 

@@ -82,7 +82,7 @@ class PlannedAxis:
     def is_real(self) -> bool:
         """Whether something moves: its drive is neither virtual nor on loopback."""
         if self.gateway is not None:
-            return self.far is None or not self.far.simulated
+            return self.far is not None and not self.far.simulated
         return bool(self.link) and not is_simulated(self.link)
 
     @property

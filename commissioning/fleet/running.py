@@ -132,9 +132,10 @@ def met(fleet: Fleet, tell: Tell) -> Generator[tuple[Fleet, Gateways | None]]:
         yield fleet, None
         return
     try:
+        tell(f"asking gateways: {', '.join(gateways.names)}")
         for name, found in gateways.meet().items():
             if isinstance(found, TwoRelayError):
-                tell(f"gateway '{name}': {found}")
+                tell(str(found))
             else:
                 tell(f"gateway '{name}': {found.host}, tworelay {found.version}")
         yield gateways.joined(), gateways

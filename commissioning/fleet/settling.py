@@ -10,6 +10,7 @@ from typing import Protocol
 
 from commissioning.fleet.ledger import Ledger
 from commissioning.fleet.rows import FleetRecord, LedgerRow
+from commissioning.result.changes import Written
 from commissioning.result.fleet import FleetJob, JobState, Outcome, in_doubt
 from profiles.errors import TwoRelayError
 
@@ -53,8 +54,8 @@ class Elsewhere(Protocol):
     def settle(self, gateway: str, key: str, row: LedgerRow, job: FleetJob) -> Stands:
         """How an attempt stands there; not started: it never will be. Raises TwoRelayError."""
 
-    def take_in(self, gateway: str, run: str) -> str:
-        """Fetch a run; its id here. Raises TwoRelayError."""
+    def take_in(self, gateway: str, run: str, written: tuple[Written, ...]) -> str:
+        """Fetch a run, which has `written` so much; its id here. Raises TwoRelayError."""
 
 
 Reach = Callable[[FleetRecord], AbstractContextManager[Elsewhere]]  # of the file as it was begun
@@ -91,7 +92,7 @@ def fetch(gateways: Elsewhere, ledger: Ledger, record: FleetRecord, row: LedgerR
         return
     gateway = record.place(row.axis).gateway or ""
     try:
-        here = gateways.take_in(gateway, outcome.run)
+        here = gateways.take_in(gateway, outcome.run, outcome.written)
     except (TwoRelayError, OSError) as error:
         why = f"{ON_GATEWAY} '{gateway}': {error}"
         ledger.note(record.id, f"run {outcome.run} {why}", row.axis, row.attempt)

@@ -23,9 +23,9 @@ _DIFFERENCES = 3  # shown
 
 
 def chosen(fleet: Fleet, only: str | None) -> tuple[str, ...]:
-    """The axes that an EXPR names: names and globs, group=G, zone=Z, after a comma; ! excludes.
+    """The axes that an EXPR names: names, globs, group=G, zone=Z, gateway=W; ! excludes.
 
-    Raises UsageError where a part of it names none.
+    Commas are between them. Raises UsageError where a part of it names none.
     """
     everything = tuple(one.name for one in fleet.axes)
     if only is None:
@@ -47,7 +47,7 @@ def chosen(fleet: Fleet, only: str | None) -> tuple[str, ...]:
 
 def _named(fleet: Fleet, part: str) -> set[str]:
     key, mark, value = part.partition("=")
-    if mark and key in ("group", "zone"):
+    if mark and key in ("group", "zone", "gateway"):
         found = {one.name for one in fleet.axes if _of(one, key) == value}
         known = sorted({of for one in fleet.axes if (of := _of(one, key))})
     else:

@@ -41,6 +41,11 @@ def twins_of(fleet: Fleet, folder: Path) -> Twins:
     for one in fleet.axes:
         if one.broken is not None:
             raise one.broken
+        if one.gateway is not None:
+            raise UsageError(
+                f"axis '{one.name}' is described on gateway '{one.gateway}', and not here: a fleet "
+                "with gateways is not rehearsed; on each of them a file with its own axes can be"
+            )
         if one.bus:
             by_bus.setdefault(one.bus, []).append(one)
     buses, names = [], []

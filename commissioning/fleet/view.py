@@ -122,7 +122,7 @@ def by_the_ledger(
 def _axis(
     row: LedgerRow, place: Place, journal: Journal | None, *, led: bool, moves: bool
 ) -> FleetAxis:
-    """`led` : its runner is there, which hears of what is on gateways; `moves`: its gateway says."""
+    """`led`: its runner is there, which hears of gateways. `moves`: its gateway says so."""
     state, why = row.state, row.why
     elsewhere = place.gateway is not None
     if moves or (elsewhere and led and state is JobState.STARTED):

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from commissioning.desk import Desk
 from commissioning.records import History, Intent
+from commissioning.result.changes import Written
 from commissioning.result.document import RunResult
 from commissioning.result.history import computer_of
 from commissioning.runs import RunFolder, resolve
@@ -62,14 +63,14 @@ def adopt(
     desk: Desk,
     show: Callable[[Adopted], None],
     *,
-    just_ended: bool = False,
+    written: tuple[Written, ...] = (),
 ) -> str:
     """Take in the exported run in `path`, unless it is known; returns its id.
 
     Parameters
     ----------
     profile : name or file of the drive's profile, where none of that name is built in
-    just_ended : it was measured for us, so that what it has written is in its drive
+    written : of it is in its drive, as is known otherwise than by what it says
 
     Raises UsageError, Refused.
     """
@@ -133,7 +134,6 @@ def adopt(
         "it was not taken in",
     )
     context = replace(record.context, axis=axis.model_copy(update={"name": called}).as_said())
-    written = result.written if just_ended else ()
     result = replace(result, run=here, axis=called, written=written)
     target.save(result, samples, source_text(name))
     taken = replace(record, id=here, axis=called, context=context)

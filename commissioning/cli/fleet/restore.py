@@ -57,9 +57,13 @@ def command(
         if not found and not elsewhere:
             screen.say("nothing to restore")
             return
-        failed += _on_gateways(
-            record, elsewhere, bool(axes) or everything, screen, force=force, dry_run=dry_run
-        )
+        try:
+            failed += _on_gateways(
+                record, elsewhere, bool(axes) or everything, screen, force=force, dry_run=dry_run
+            )
+        except TwoRelayError as error:
+            say(f"tworelay: {error}", err=True)
+            failed += [name for names in elsewhere.values() for name in names]
         for left in found:
             screen.say(f"{left.axis}:")
             try:
@@ -87,19 +91,21 @@ def _on_gateways(
     force: bool, dry_run: bool,
 ) -> list[str]:  # fmt: skip
     """What is on other computers is shown, agreed to, and put back there; returns what was not."""
-    from commissioning.fleet.afar import put_back_on, reach
+    from commissioning.fleet.afar import note_put_back, put_back_on, reach
     from commissioning.fleet.gateway.messages import Restore
 
     if not axes:
         return []
     failed = []
     with reach(record) as gateways:
+        gateways.meet()
         for gateway, names in axes.items():
             asked = Restore(record.key, tuple(names), "show", everything, force)
             screen.say(f"on gateway '{gateway}':")
             shown = put_back_on(gateways, gateway, asked)
             for line in shown.lines:
-                screen.say(f"  {line}")
+                if line != "dry run: nothing was written" or dry_run:
+                    screen.say(f"  {line}")
             if shown.lines == ("nothing to restore",) or dry_run:
                 continue
             question = f"The values above will be WRITTEN on gateway '{gateway}'."
@@ -110,4 +116,5 @@ def _on_gateways(
             for line in done.lines:
                 screen.say(f"  {line}")
             failed += names if done.exit_code else []
+            note_put_back(gateways, record, names)
     return failed

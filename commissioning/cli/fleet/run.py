@@ -29,7 +29,7 @@ _OPTIONS = [
     click.option("--job", type=click.Choice(["identify", "commission", "verify"]),
                  help="Instead of the file's."),
     click.option("--only", metavar="EXPR",
-                 help="Names and globs, group=G, zone=Z, with commas; !X leaves X out."),
+                 help="Names and globs, group=G, zone=Z, gateway=W, with commas; !X leaves X out."),
     click.option("--at-once", type=click.IntRange(1, 64), metavar="N",
                  help="Axes at once, at most."),
     click.option("--junit", metavar="F", help="JUnit XML to F."),

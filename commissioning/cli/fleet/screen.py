@@ -97,7 +97,9 @@ class FleetScreen:
     def tell(self, text: str) -> None:
         """One line; above the question, if there is one."""
         if self._live is None or self._word:
-            self._screen.say(f"\n{text}" if self._word else text)
+            if self._word:
+                self._screen.say()
+            self._screen.say(text)
             self._prompt()
             return
         with giving_up(err=self._screen.to_stderr):

@@ -89,7 +89,7 @@ async def probe(name: str, address: str, tls: ssl.SSLContext) -> None:
                     await writer.wait_closed()
     except ssl.SSLCertVerificationError as error:
         raise Refused(
-            f"{where}: its certificate is not taken: {error.verify_message}",
+            f"{where}: its certificate is not taken: {error.verify_message.rstrip('.')}",
             code="gateway.certificate",
             hint="is it the right computer, and is ca.crt the same on both? A certificate that is "
             "not valid yet, or no more, may be a clock that is set wrongly",
@@ -116,4 +116,8 @@ async def probe(name: str, address: str, tls: ssl.SSLContext) -> None:
 def _why(error: OSError) -> str:
     """In the system's words, and not in those of asyncio."""
     known = error.errno is not None and not isinstance(error, socket.gaierror)
-    return os.strerror(error.errno) if known and error.errno else error.strerror or str(error)
+    return (
+        os.strerror(error.errno)
+        if known and error.errno
+        else error.strerror or str(error) or "it does not speak TLS"
+    )

@@ -12,7 +12,7 @@ from typing import Any
 
 from commissioning.ending import error_of
 from commissioning.fleet.crew import Spoken, Worker
-from commissioning.fleet.gateway.lines import Far, Heard
+from commissioning.fleet.gateway.lines import PATIENCE, Far, Heard
 from commissioning.fleet.gateway.messages import (
     Going,
     Offer,
@@ -26,6 +26,7 @@ from commissioning.fleet.gateway.messages import (
 )
 from commissioning.fleet.messages import Order, Report
 from commissioning.fleet.settling import ON_GATEWAY
+from commissioning.result.changes import Written
 from commissioning.result.endings import Error
 from commissioning.result.fleet import ENDED, JobState, Outcome
 from drivers.errors import LinkLost
@@ -38,7 +39,9 @@ _SEEN = 2.0  # s without news, after which the ledger there is asked
 _CONFIRMED = 1.0  # s in which a stop is confirmed, or people are told that it is not
 _STOPS = 0.5  # s between two
 Begin = Callable[[Coroutine[Any, Any, None]], Callable[[], object]]  # returns what cancels it
-TakeIn = Callable[[Far, str], Awaitable[str]]  # a run of a gateway: fetched; its id here
+TakeIn = Callable[
+    [Far, str, tuple[Written, ...]], Awaitable[str]
+]  # a run of a gateway: fetched; its id here
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +178,7 @@ class FarWorker(Worker):
 
     async def _followed(self, order: Order) -> Report:
         """To the end of a job that was started."""
-        heard = self._far.listen(order.name, order.attempt)
+        heard, was_lost = self._far.listen(order.name, order.attempt), False
         while True:
             report = await _next(heard)
             if report is not None and report.kind not in ("ended", "void"):
@@ -185,9 +188,13 @@ class FarWorker(Worker):
                 at = Going(order.name, order.attempt, report.state, False, report.outcome)
                 return await self._ended(order, at)
             if self._far.lost_since is not None:
-                lost = f"gateway '{self.gateway}' does not answer; the axis' guardian is there"
-                self._say(Report("tell", text=lost))
+                was_lost = True
+                lost = f"gateway '{self.gateway}' does not answer; it is waited for, up to "
+                self._say(Report("alarm", text=f"{lost}{PATIENCE:.0f} s"))
             ended = await self._settled(order)
+            if was_lost and self._far.lost_since is None:
+                was_lost = False
+                self._say(Report("alarm", text=f"gateway '{self.gateway}' is back"))
             if ended is not None:
                 return ended
 
@@ -213,7 +220,9 @@ class FarWorker(Worker):
         if outcome.run is not None:
             self._say(Report("tell", text=f"fetching run {outcome.run}"))
             try:
-                outcome = replace(outcome, run=await self._take_in(self._far, outcome.run))
+                outcome = replace(
+                    outcome, run=await self._take_in(self._far, outcome.run, outcome.written)
+                )
             except Exception as error:  # the axis has ended well, whatever becomes of its files
                 left = f"run {outcome.run} {ON_GATEWAY} '{self.gateway}': {error}"
                 outcome = replace(outcome, remark="; ".join(filter(None, (outcome.remark, left))))

@@ -40,6 +40,17 @@ class AxisFolder:
             found[name] = path
         return found
 
+    def faults(self) -> Iterator[str]:
+        """What is wrong with its files, a line each."""
+        files = self.files()
+        if not files:
+            yield f"no axis files in {self._folder}: NAME.toml with a link is the axis NAME"
+        for name in files:
+            try:
+                self.axis(name, Keys(), files)
+            except TwoRelayError as error:
+                yield str(error)
+
     def path(self, name: str, files: Mapping[str, Path] | None = None) -> Path:
         """File of an axis; raises UnknownName."""
         files = self.files() if files is None else files

@@ -41,6 +41,7 @@ from commissioning.fleet.plan import Fleet, PlannedAxis
 from commissioning.fleet.rows import FleetRecord, LedgerRow
 from commissioning.interruption import Interruption
 from commissioning.journal import Journal
+from commissioning.result.changes import Written
 from commissioning.result.fleet import FleetJob
 from commissioning.session.adopt import adopt
 from drivers.errors import LinkError
@@ -110,6 +111,11 @@ class Gateways:
         named = sorted({one.gateway for one in fleet.axes if one.gateway is not None})
         self._far = {name: Far(name, opened) for name in named}
         self._met: dict[str, Axes | TwoRelayError] = {}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the gateways."""
+        return tuple(self._far)
 
     def meet(self) -> Mapping[str, Greeting | TwoRelayError]:
         """Greet each; what they tell, or why they cannot be had. Nothing is started by that."""
@@ -204,14 +210,14 @@ class Gateways:
         """Whoever acts on a gateway."""
         return FarWorker(self._far[gateway], self._whose, heard, self._loop.begin, self._take_in)
 
-    async def _take_in(self, far: Far, run: str) -> str:
-        """Fetch a run, and adopt it unasked; its id here."""
+    async def _take_in(self, far: Far, run: str, written: tuple[Written, ...]) -> str:
+        """Fetch a run, and adopt it unasked; its id here. `written`: what it has in its drive."""
 
         async def ask(chunk: Chunk) -> Chunk:
             return await far.insist("fetch", chunk, Chunk)
 
         data = await received(run, ask)
-        return await asyncio.to_thread(_adopted, data)
+        return await asyncio.to_thread(_adopted, data, written)
 
     def settle(self, gateway: str, key: str, row: LedgerRow, job: FleetJob) -> Going:
         """How an attempt stands there; not started: it never will be. Raises TwoRelayError."""
@@ -243,9 +249,9 @@ class Gateways:
         """Have settings put back there, or shown; raises TwoRelayError."""
         return self._loop.do(self._there(gateway).ask("restore", asked, PutBack, _CALL))
 
-    def take_in(self, gateway: str, run: str) -> str:
-        """Fetch a run; its id here. Raises TwoRelayError."""
-        return self._loop.do(self._take_in(self._there(gateway), run))
+    def take_in(self, gateway: str, run: str, written: tuple[Written, ...]) -> str:
+        """Fetch a run, which has `written` so much; its id here. Raises TwoRelayError."""
+        return self._loop.do(self._take_in(self._there(gateway), run, written))
 
     def _there(self, gateway: str) -> Far:
         met = self._met.get(gateway)
@@ -294,7 +300,7 @@ def gateways_of(fleet: Fleet) -> Gateways | None:
     return Gateways(fleet, opener(fleet), Background())
 
 
-def _adopted(data: bytes) -> str:
+def _adopted(data: bytes, written: tuple[Written, ...]) -> str:
     with (
         tempfile.TemporaryDirectory() as folder,
         Interruption() as interruption,
@@ -302,4 +308,4 @@ def _adopted(data: bytes) -> str:
     ):
         unpack(data, Path(folder))
         desk = Desk(journal, interruption, lambda _: None, lambda _question, _word: True)
-        return adopt(Path(folder), None, desk, lambda _: None, just_ended=True)
+        return adopt(Path(folder), None, desk, lambda _: None, written=written)

@@ -45,20 +45,23 @@ def _files(folder: Path, role: Role, name: str) -> CertificateOf:
 
 def the_one(folder: Path, role: Role, name: str | None = None) -> tuple[str, CertificateOf]:
     """The name of a role in a folder, and its files; raises UsageError, Refused."""
-    how = f"'tworelay fleet keys {folder}' makes them"
+    if not folder.is_dir():
+        raise UsageError(f"{folder}: there is no such folder; {_how(role)}")
     found = sorted(path.stem.removeprefix(f"{role}-") for path in folder.glob(f"{role}-*.crt"))
     if name is None:
         if len(found) != 1:
             which = ", ".join(found) or "none"
+            more = "--name says which" if role == "gateway" else "leave its own alone in the folder"
             raise UsageError(
                 f"{folder}: must have one certificate of a {role}, and has: {which}",
-                hint=how if not found else "give each computer a folder with its own alone",
+                hint=more if found else _how(role),
             )
         name = found[0]
     files = _files(folder, role, name)
     for path in files:
         if not path.is_file():
-            raise UsageError(f"{path}: is not there", hint=how)
+            there = f"; there are: {', '.join(found)}" if found else ""
+            raise UsageError(f"{path}: is not there{there}", hint=_how(role))
     if sys.platform != "win32" and files.key.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise Refused(
             f"{files.key}: others can read it, and who has it can move axes",
@@ -66,6 +69,13 @@ def the_one(folder: Path, role: Role, name: str | None = None) -> tuple[str, Cer
             hint=f"chmod 600 {files.key}; if others may have read it, make new keys",
         )
     return name, files
+
+
+def _how(role: Role) -> str:
+    return (
+        f"copy ca.crt, {role}-NAME.crt and {role}-NAME.key there, from where 'tworelay fleet keys' "
+        "has made them"
+    )
 
 
 def context(files: CertificateOf, role: Role) -> ssl.SSLContext:

@@ -15,6 +15,7 @@ from commissioning.fleet.gateway.station import Station
 from commissioning.interruption import Interruption
 from commissioning.locks import Lock, Taken, take
 from drivers.home import home
+from drivers.link_text import is_loopback
 from profiles.errors import Refused, UsageError
 
 __all__ = ["run_gateway"]
@@ -51,6 +52,10 @@ def run_gateway(
 
         def ready(station: Station, port: int) -> None:
             count = len(folder.files())
+            for line in folder.faults():
+                tell(line)
+            if not is_loopback(address[0]):
+                tell(f"whoever reaches {address[0]} and has a client's key can move these axes")
             tell(
                 f"gateway '{name}' listens on {address[0]}:{port}; {count} axis files in {axes}; "
                 f"its ledger and runs: {home()}; Ctrl-C ends it"
@@ -58,7 +63,7 @@ def run_gateway(
             watching.append(asyncio.create_task(_until_told(station, interruption, tell, ended)))
 
         await engine.serve(
-            lambda on_news: Station(name, folder, home(), crew, on_news=on_news),
+            lambda on_news: Station(name, folder, home(), crew, on_news=on_news, tell=tell),
             address, tls, ready, ended,
         )  # fmt: skip
 

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 
 from commissioning.ending import tool
 from commissioning.errors import JournalError
+from commissioning.fleet.acts import outcome_now
 from commissioning.fleet.crew import Crew, Worker
 from commissioning.fleet.file import Keys
 from commissioning.fleet.gateway.folder import AxisFolder
@@ -54,6 +55,7 @@ from commissioning.fleet.ledger import Ledger
 from commissioning.fleet.messages import Order, Report
 from commissioning.fleet.rows import LedgerRow, Whose
 from commissioning.fleet.stopping import interrupt
+from commissioning.journal import Journal
 from commissioning.processes import clock
 from commissioning.result.endings import Error
 from commissioning.result.fleet import ENDED, JobState
@@ -95,6 +97,7 @@ class Station:
     """The gateway `name`: the axes of a folder, the ledger of a home, a crew.
 
     Raises nothing: `handle` answers with what was refused, too. `clock`: s, which nobody sets.
+    `tell`: whoever stands beside it.
     """
 
     def __init__(
@@ -105,7 +108,9 @@ class Station:
         crew: Crew,
         clock: Callable[[], float] = clock,
         on_news: Callable[[], None] = lambda: None,
+        tell: Callable[[str], None] = lambda _: None,
     ) -> None:
+        self._say = tell
         self.life = secrets.token_hex(8)
         self.name = name
         self.is_closing = False
@@ -243,6 +248,8 @@ class Station:
                 f"attempt {order.attempt} at axis '{order.name}' was begun already",
                 code="gateway.once",
             )
+        whose = " at ".join(filter(None, (start.operator, start.host))) or "another computer"
+        self._say(f"'{order.name}': {order.job}, for {whose}")
         try:
             return Started(self._put_to_work(offer.run, order, axis, anew=not _stepping(axis)))
         except OSError as error:
@@ -273,7 +280,11 @@ class Station:
         with Ledger(self._home) as ledger:
             row = _settled(ledger, which, mine=mine)
         alive = row.state not in ENDED and (mine or row.is_alive)
-        return Going(row.axis, row.attempt, row.state, alive, row.outcome, row.why)
+        outcome = row.outcome
+        if outcome is not None:  # with what its drive has by now
+            with Journal(self._home, reading=True) as journal:
+                outcome = outcome_now(outcome, journal)
+        return Going(row.axis, row.attempt, row.state, alive, outcome, row.why)
 
     def _stop(self, stop: Stop) -> Stopped:
         with self._lock:
@@ -340,6 +351,8 @@ class Station:
         if report is None:
             report = self._of_dead(at)
         self._news.add(at.run, at.order.name, at.order.attempt, report)
+        if at.order.act == "job" and report.kind in ("ended", "void"):
+            self._say(f"'{at.order.name}': {report.state or 'not started'}")
         return True
 
     def _take_back(self, worker: Worker, at: _At, report: Report) -> None:

@@ -258,6 +258,7 @@ def _is_pseudo_terminal(device: str) -> bool:
 
 
 def is_loopback(host: str) -> bool:
+    """Whether a host is this computer, as it is written."""
     try:
         return host == "localhost" or ip_address(host.strip("[]")).is_loopback
     except ValueError:

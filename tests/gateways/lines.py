@@ -69,6 +69,8 @@ class At:
         assert select.select([self.process.stdout], [], [], 60)[0], "it does not start"
         line = self.process.stdout.readline()
         found = re.search(r"listens on 127\.0\.0\.1:([0-9]+)", line)
+        if found is None:
+            self.process.kill()
         assert found, line + self.process.stdout.read()
         self.port = int(found[1])
 

@@ -248,10 +248,7 @@ def _state(folder: Path, axis: str) -> JobState:
 @pytest.mark.parametrize("how", ["killed", "frozen", "ended"])
 def test_a_gateway_fails_in_mid_motion(how: str, tmp_path: Path, state_folder: Path) -> None:
     keys = keys_in(tmp_path / "keys", "pc-a")
-    with At(
-        tmp_path, "pc-a", keys, {"x": BENCH.format(1), "y": "link = 'no link'\n"}, 4.0
-    ).running() as at:
-        (at.axes / "y.toml").unlink()
+    with At(tmp_path, "pc-a", keys, {"x": BENCH.format(1)}, 4.0).running() as at:
         path = fleet_file(tmp_path / "line.toml", {"pc-a": at}, keys)
         with running("fleet", "run", str(path)) as process:
             until(lambda: (at.home / "journal.sqlite").exists() and at.moving())

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hashlib
 import signal
 from collections.abc import Callable
 from pathlib import Path
 
+from commissioning.errors import Interrupted
 from commissioning.fleet.crew import Crew
 from commissioning.fleet.gateway.folder import AxisFolder
 from commissioning.fleet.gateway.keys import EXTRA, context, the_one
@@ -52,14 +54,14 @@ def run_gateway(
 
         def ready(station: Station, port: int) -> None:
             count = len(folder.files())
-            for line in folder.faults():
-                tell(line)
-            if not is_loopback(address[0]):
-                tell(f"whoever reaches {address[0]} and has a client's key can move these axes")
             tell(
                 f"gateway '{name}' listens on {address[0]}:{port}; {count} axis files in {axes}; "
                 f"its ledger and runs: {home()}; Ctrl-C ends it"
             )
+            if not is_loopback(address[0]):
+                tell(f"whoever reaches {address[0]} and has a client's key can move these axes")
+            for line in folder.faults():
+                tell(line)
             watching.append(asyncio.create_task(_until_told(station, interruption, tell, ended)))
 
         await engine.serve(
@@ -68,7 +70,7 @@ def run_gateway(
         )  # fmt: skip
 
     try:
-        with interruption.deferred():
+        with contextlib.suppress(Interrupted), interruption.deferred():  # that is how it ends
             asyncio.run(serving())
             crew.close(lambda: interruption.count)
     finally:

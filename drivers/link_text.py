@@ -15,7 +15,15 @@ from urllib.parse import parse_qsl, unquote
 
 from profiles.errors import UsageError
 
-__all__ = ["SCHEMES", "Link", "host_and_port", "is_simulated", "name_of", "parse"]
+__all__ = [
+    "SCHEMES",
+    "Link",
+    "host_and_port",
+    "is_loopback",
+    "is_simulated",
+    "name_of",
+    "parse",
+]
 
 SCHEMES = ("virtual", "modbus-tcp", "modbus-rtu", "modbus-rtu-tcp", "modbus-tls", "canopen")
 _MODBUS_PORT, _SECURE_PORT = 502, 802

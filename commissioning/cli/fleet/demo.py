@@ -16,7 +16,7 @@ from commissioning.result.fleet import JobState
 from drivers.home import home
 from profiles.errors import UsageError
 
-__all__ = ["demo_file", "run_demo"]
+__all__ = ["called", "demo_file", "run_demo", "started"]
 
 _UNTIL = 3  # axes done, and then it is interrupted
 _HEAD = """\
@@ -66,10 +66,10 @@ def run_demo(screen: Screen) -> int:
         path.write_text(demo_file(dict(zip(_names(), links, strict=True))), "utf-8")
         screen.say(f"eight virtual drives on five buses, and a fleet file: {path}")
         screen.say("'gantry-1' is jammed on purpose, and 'gantry-2' is of its group")
-        _called(screen, "check", str(path))
-        _interrupted(screen, "run", str(path), "--yes")
+        called(screen, "fleet", "check", str(path))
+        _interrupted(screen, "fleet", "run", str(path), "--yes")
         junit = folder / "junit.xml"
-        code = _called(screen, "run", str(path), "--resume", "--yes", "--junit", str(junit))
+        code = called(screen, "fleet", "run", str(path), "--resume", "--yes", "--junit", str(junit))
         screen.say(f"JUnit: {junit}")
         screen.say(
             f"exit code {code}: some axes are not done, as it has to be with one that is jammed"
@@ -82,16 +82,18 @@ def _names() -> list[str]:
     return [name for name, _, _ in _AXES]
 
 
-def _started(screen: Screen, *arguments: str) -> subprocess.Popen[str]:
+def started(screen: Screen, *arguments: str) -> subprocess.Popen[str]:
+    """A command under way, which is shown as it would be typed."""
     screen.say()
-    screen.say("$ tworelay fleet " + " ".join(arguments))
+    screen.say("$ tworelay " + " ".join(arguments))
     sys.stdout.flush()
-    process: subprocess.Popen[str] = start("commissioning", "fleet", *arguments)
+    process: subprocess.Popen[str] = start("commissioning", *arguments)
     return process
 
 
-def _called(screen: Screen, *arguments: str) -> int:
-    with _started(screen, *arguments) as process:
+def called(screen: Screen, *arguments: str) -> int:
+    """A command to its end; returns its exit code."""
+    with started(screen, *arguments) as process:
         try:
             return process.wait()
         finally:
@@ -101,7 +103,7 @@ def _called(screen: Screen, *arguments: str) -> int:
 def _interrupted(screen: Screen, *arguments: str) -> None:
     """A run that gets a Ctrl-C when some of its axes are done."""
     begun = time.time()
-    with _started(screen, *arguments) as process:
+    with started(screen, *arguments) as process:
         try:
             while process.poll() is None and _done_since(begun) < _UNTIL:
                 time.sleep(0.1)

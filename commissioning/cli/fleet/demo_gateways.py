@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Generator
 from pathlib import Path
 
+from commissioning.cli.fleet.demo import called, started
 from commissioning.cli.fleet.rehearse import served
 from commissioning.cli.terminal import Screen
 from commissioning.fleet.ledger import Ledger
@@ -140,22 +141,22 @@ def run_demo(screen: Screen) -> int:
     keys, path = folder / "keys", folder / "line-9.toml"
     screen.say(f"three computers with four drives each, on loopback; all of it lies in {folder}")
     gateways = [word for name in _GATEWAYS for word in ("--gateway", name)]
-    _called(screen, "fleet", "keys", str(keys), *gateways, "--client", "laptop")
+    called(screen, "fleet", "keys", str(keys), *gateways, "--client", "laptop")
     screen.say()
     with Interruption(), _computers(folder, keys, screen) as computers:
         ports = {name: computer.port for name, computer in computers.items()}
         path.write_text(_fleet_file(ports), "utf-8")
-        _called(screen, "fleet", "check", str(path))
+        called(screen, "fleet", "check", str(path))
         _with_a_crash(screen, path, computers["pc-b"])
-        code = _called(screen, "fleet", "run", str(path), "--resume", "--yes")
-        _called(screen, "fleet", "status")
-        _called(screen, "history")
+        code = called(screen, "fleet", "run", str(path), "--resume", "--yes")
+        called(screen, "fleet", "status")
+        called(screen, "history")
     return code
 
 
 def _with_a_crash(screen: Screen, path: Path, victim: _Computer) -> None:
     """A run in which a gateway dies while it moves an axis, and comes back; and a Ctrl-C."""
-    with _started(screen, "fleet", "run", str(path), "--yes") as process:
+    with started(screen, "fleet", "run", str(path), "--yes") as process:
         try:
             _wait(process, victim.moves)
             victim.kill()
@@ -178,19 +179,3 @@ def _wait(process: subprocess.Popen[str], so: Callable[[], bool]) -> None:
     until = time.monotonic() + _PATIENCE
     while process.poll() is None and not so() and time.monotonic() < until:
         time.sleep(0.02)
-
-
-def _started(screen: Screen, *arguments: str) -> subprocess.Popen[str]:
-    screen.say()
-    screen.say("$ tworelay " + " ".join(arguments))
-    sys.stdout.flush()
-    process: subprocess.Popen[str] = start("commissioning", *arguments)
-    return process
-
-
-def _called(screen: Screen, *arguments: str) -> int:
-    with _started(screen, *arguments) as process:
-        try:
-            return process.wait()
-        finally:
-            process.terminate()

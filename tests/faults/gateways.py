@@ -21,6 +21,8 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
+from commissioning.desk import Options
+from commissioning.fleet.file import Keys
 from commissioning.fleet.gateway.messages import PROTOCOL, Ask, Offer, Offered, Start
 from commissioning.fleet.ledger import Ledger
 from commissioning.fleet.messages import Order
@@ -30,7 +32,7 @@ from profiles.errors import Refused
 from tests.faults.gateways_real import CUTS
 from tests.gateways.world import Client, ClientDied, Gateway, Trouble, World
 
-__all__ = ["CASES", "Case", "held"]
+__all__ = ["CASES", "Case", "held", "order_of"]
 
 YEAR = 366 * 86400.0
 AXES = {"pc-a": ["x", "y"], "pc-b": ["z"]}
@@ -314,10 +316,11 @@ def _client_cases() -> Iterator[Case]:
 
 
 def _order(world: World, axis: str) -> Order:
-    from commissioning.desk import Options
-    from commissioning.fleet.file import Keys
+    return order_of(next(g for g in world.gateways.values() if axis in _axes_of(g)), axis)
 
-    gateway = next(g for g in world.gateways.values() if axis in _axes_of(g))
+
+def order_of(gateway: Gateway, axis: str) -> Order:
+    """A job on an axis as its gateway describes it."""
     assert gateway.station is not None
     said = gateway.station._folder.axis(axis, Keys()).as_said()
     return Order("job", "r", axis, 1, "identify", said, Options())

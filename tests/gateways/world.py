@@ -477,6 +477,8 @@ class Client:
         except ClientDied:
             hub.close()  # its loop dies with it: nothing is said to anybody
             world.go_on(0.0)
+            with Ledger(self.home) as ledger:
+                ledger._db.execute("UPDATE fleet_runs SET pid=? WHERE id=?", (NOBODY, self.run_id))
             raise
         return result
 

@@ -30,7 +30,7 @@ DOORS = {
     "profiles/library.py", "profiles/table.py", "profiles/toml_files.py",
     "drivers/canopen/adapters.py",
     "drivers/modbus/answers.py", "drivers/modbus/client.py", "drivers/virtual/serve.py",
-    "commissioning/fleet/file.py", "commissioning/fleet/ledger.py",
+    "commissioning/fleet/file.py", "commissioning/fleet/rows.py",
     "commissioning/fleet/loading.py", "commissioning/fleet/plan.py",
     "commissioning/result/fleet_codec.py", "commissioning/panel/feed.py",
     "commissioning/panel/process.py", "commissioning/recordings/arrays.py",

@@ -278,7 +278,7 @@ class Conductor:
             return ""
         names = ", ".join(f"'{one.name}'" for one in running)
         self._expect(only_running=True)
-        return f"{names} is finished, in about {remaining(self._estimate.left() or 0.0)}; "
+        return f"finishing {names}, about {remaining(self._estimate.left() or 0.0)} more; "
 
     def _drain(self, why: str) -> None:
         """Let nothing more start."""

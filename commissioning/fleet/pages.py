@@ -37,6 +37,8 @@ class Pages:
     def open(self, run: str) -> None:
         """There is a run to be written about."""
         self._folder = folder_of(run)
+        with contextlib.suppress(OSError):
+            self._folder.mkdir(parents=True, exist_ok=True)
 
     def show(self, result: FleetResult) -> None:
         """Every two seconds, whole."""
@@ -50,6 +52,8 @@ class Pages:
         """All files of a run, as it is now; returns those that could be written."""
         folder = folder_of(result.fleet_run)
         written = []
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
         for name, text in (
             ("fleet.html", page(result)),
             ("acceptance.html", acceptance(result)),

@@ -59,6 +59,8 @@ def test_a_run_is_fetched_and_restored_where_its_drive_is(
     assert axes["x"]["link"] == "pc-a: virtual://bench?seed=1"
     found = axes["x"]["outcome"]["coulomb"]
     assert found["low"] < 0.1 < found["high"]
+    pages = state_folder / "fleets" / tree["fleet_run"]
+    assert {"fleet.html", "acceptance.html"} <= {path.name for path in pages.iterdir()}
     one = axes["x"]["outcome"]["run"]
     kept = state_folder / "runs" / one
     assert (kept / "run.json").is_file(), "result"

@@ -135,10 +135,9 @@ def _held(cut: Cut, proxy: Proxy, at: At, keys: Path, folder: Path) -> str:
     proxy.aim(cut)
     words = ["fleet", "run", str(path)]
     done = in_this_process(*words, environment=environment)
-    for _ in range(3):
+    for again in (["--resume"], ["--again", "failed"], ["--resume"]):  # as its last lines say
         if done.returncode == 0:
             break
-        again = ["--resume"] if (home / "journal.sqlite").exists() else []
         done = in_this_process(*words, *again, environment=environment)
     new = at.moves()[before:]
     starts = Counter(new)

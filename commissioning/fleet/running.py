@@ -21,12 +21,14 @@ from commissioning.fleet.plan import Fleet
 from commissioning.fleet.rows import FleetRecord
 from commissioning.fleet.schedule import makespan, planned
 from commissioning.fleet.serials import Pins
+from commissioning.fleet.settling import fetch
 from commissioning.fleet.taking_up import (
     again,
     begin,
     chosen,
     fetch_left,
     none_under_way,
+    not_fetched,
     only_runner,
     resume,
 )
@@ -96,6 +98,10 @@ def run(
                 result = conductor.run(names)
             finally:
                 crew.close(lambda: interruption.count)
+            if gateways is not None:
+                record = ledger.record(run_id)
+                for row in not_fetched(ledger, record):
+                    fetch(gateways, ledger, record, row)
             return result, conductor.error
 
 

@@ -17,7 +17,16 @@ from commissioning.locks import Taken, take
 from commissioning.result.fleet import FAILED, MAY_RESUME, JobState
 from profiles.errors import Refused, UnknownName, UsageError
 
-__all__ = ["again", "begin", "chosen", "fetch_left", "none_under_way", "only_runner", "resume"]
+__all__ = [
+    "again",
+    "begin",
+    "chosen",
+    "fetch_left",
+    "none_under_way",
+    "not_fetched",
+    "only_runner",
+    "resume",
+]
 
 _DIFFERENCES = 3  # shown
 
@@ -164,18 +173,22 @@ def _not_known(fleet: Fleet, ledger: Ledger) -> list[tuple[str, LedgerRow]]:
 
 def fetch_left(ledger: Ledger, record: FleetRecord, reach: Reach) -> None:
     """Take in what gateways have measured in a run and could not send."""
-    left = [
+    if left := not_fetched(ledger, record):
+        with reach(record) as gateways:
+            gateways.meet()
+            for row in left:
+                fetch(gateways, ledger, record, row)
+
+
+def not_fetched(ledger: Ledger, record: FleetRecord) -> list[LedgerRow]:
+    """Attempts whose runs are on gateways still."""
+    return [
         row
         for row in ledger.attempts(record.id)
         if row.outcome is not None
         and ON_GATEWAY in row.outcome.remark
         and record.place(row.axis).gateway is not None
     ]
-    if left:
-        with reach(record) as gateways:
-            gateways.meet()
-            for row in left:
-                fetch(gateways, ledger, record, row)
 
 
 def resume(fleet: Fleet, ledger: Ledger, run: str, names: Sequence[str]) -> tuple[str, ...]:

@@ -210,14 +210,17 @@ class FarWorker(Worker):
         return await self._ended(order, going)
 
     async def _ended(self, order: Order, going: Going) -> Report:
-        """The last report, with the run fetched where the axis is at rest."""
+        """The last report, with the run fetched where all is well; else people are told first."""
         if going.state is JobState.REVOKED:
             return Report("void", text=going.why or "it was never started")
         outcome = going.outcome
         if outcome is None:
             said = Error("gateway.unknown", going.why or "nobody knows how it ended")
             return _of_unknown(order, said)
-        if outcome.run is not None:
+        if outcome.run is not None and (not outcome.at_rest or outcome.error is not None):
+            left = f"run {outcome.run} {ON_GATEWAY} '{self.gateway}' until the end"
+            outcome = replace(outcome, remark="; ".join(filter(None, (outcome.remark, left))))
+        elif outcome.run is not None:
             self._say(Report("tell", text=f"fetching run {outcome.run}"))
             try:
                 outcome = replace(

@@ -230,7 +230,7 @@ class Board:
         """The run as it is now."""
         over = state in (FleetState.FINISHED, FleetState.STOPPED)
         record = replace(self._record, ended=time.time() if over else None)
-        axes = [_shown(one) for one in self]
+        axes = [_shown(one, one.planned.link or self._record.place(one.name).link) for one in self]
         return view(record, axes, state, tool, left, notes, rehearsed=self.fleet.rehearsed)
 
 
@@ -241,11 +241,11 @@ def _standing(planned: PlannedAxis, row: LedgerRow) -> Standing:
     )  # fmt: skip
 
 
-def _shown(one: Standing) -> FleetAxis:
+def _shown(one: Standing, link: str) -> FleetAxis:
     planned, outcome = one.planned, one.outcome
     return FleetAxis(
-        one.name, one.state, one.attempt, planned.where, planned.group, planned.zone, one.serial,
+        one.name, one.state, one.attempt, link, planned.group, planned.zone, one.serial,
         one.step, one.steps, one.doing if one.state in _ACTIVE else "", one.why,
         None if one.began is None else one.confirmed,
-        iso(one.began), iso(one.ended), outcome,
+        iso(one.began), iso(one.ended), outcome, planned.gateway,
     )  # fmt: skip

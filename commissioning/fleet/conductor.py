@@ -46,7 +46,7 @@ __all__ = ["Conductor"]
 
 _WAIT = 0.1  # s
 _SHOWN = 0.25  # s between pictures
-_RARELY = 5  # times as long as a picture takes: from the beginning of one to the next
+_RARELY = 10  # times as long as a picture takes: from the beginning of one to the next
 _LATE = 0.05  # share of late cycles from which on nothing more starts beside it
 _LEFT = "drive.left"  # a drive that was disabled without a fault, and not by us
 _CLEAN = JobState.DONE, JobState.NOT_HELPED, JobState.REJECTED, JobState.REFUSED
@@ -338,7 +338,7 @@ class Conductor:
     def _show(self, *, now: bool = False) -> None:
         """A picture of the run, now and then, or `now`."""
         begun = self._clock()
-        if begun - self._shown < (self._costly if now else _SHOWN):
+        if begun - self._shown < max(self._costly, 0.0 if now else _SHOWN):
             return
         self._shown = begun
         tasks = [self._task(one) for one in self._running()]

@@ -18,8 +18,8 @@ _ERRORS = (
     JobState.REFUSED, JobState.LINK, JobState.WRITE_INCOMPLETE, JobState.STOPPED, JobState.UNKNOWN,
 )  # fmt: skip
 _COLUMNS = (
-    "fleet_run", "axis", "state", "attempt", "why", "link", "serial", "group", "zone", "run",
-    "verdict", "began", "ended", "sha256",
+    "fleet_run", "axis", "state", "attempt", "why", "gateway", "link", "serial", "group", "zone",
+    "run", "verdict", "began", "ended", "sha256",
 )  # fmt: skip
 _QUANTITIES = "coulomb", "offset", "viscous", "inertia"
 

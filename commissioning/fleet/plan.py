@@ -85,11 +85,6 @@ class PlannedAxis:
             return self.far is not None and not self.far.simulated
         return bool(self.link) and not is_simulated(self.link)
 
-    @property
-    def where(self) -> str:
-        """Its link, and on which computer that is."""
-        return f"{self.gateway}: {self.link}" if self.gateway and self.link else self.link
-
 
 @dataclass(frozen=True, slots=True)
 class Fleet:

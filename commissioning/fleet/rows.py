@@ -24,11 +24,6 @@ class Place(NamedTuple):
     zone: str | None
     gateway: str | None
 
-    @property
-    def where(self) -> str:
-        """The link, and on which computer it is."""
-        return f"{self.gateway}: {self.link}" if self.gateway and self.link else self.link
-
 
 class Whose(NamedTuple):
     """Whose fleet run moves axes of a gateway: its file, its computer, and who sits there."""

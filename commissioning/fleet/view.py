@@ -66,16 +66,15 @@ def ways_on(result: FleetResult) -> tuple[str, ...]:
 
 
 def _stop(one: FleetAxis) -> str:
-    gateway, mark, link = one.link.partition(": ")
-    if mark:
-        return f"'tworelay fleet stop' here, or 'tworelay stop \"{link}\"' on {gateway}"
+    if one.gateway is not None:
+        return f"'tworelay fleet stop' here, or 'tworelay stop \"{one.link}\"' on {one.gateway}"
     return f"'tworelay stop \"{one.link}\"'"
 
 
 def not_begun(fleet: Fleet, why: str, tool: Tool | None) -> FleetResult:
     """A fleet run that was refused before there was one."""
     axes = tuple(
-        FleetAxis(one.name, JobState.PLANNED, 1, one.link, one.group, one.zone)
+        FleetAxis(one.name, JobState.PLANNED, 1, one.link, one.group, one.zone, gateway=one.gateway)
         for one in fleet.axes
     )
     return FleetResult(
@@ -135,7 +134,7 @@ def _axis(
         if row.outcome and row.outcome.written and not outcome.written:
             why = f"{why}; its values were put back since".removeprefix("; ")
     return FleetAxis(
-        row.axis, state, row.attempt, place.where, place.group, place.zone,
+        row.axis, state, row.attempt, place.link, place.group, place.zone,
         row.serial or None, why=why, confirmed=row.confirmed, began=iso(row.began),
-        ended=iso(row.at) if state in ENDED else None, outcome=outcome,
+        ended=iso(row.at) if state in ENDED else None, outcome=outcome, gateway=place.gateway,
     )  # fmt: skip

@@ -173,6 +173,7 @@ class FleetAxis:
     step, steps : the step of the job that is under way, from 1, and how many there are
     doing : what happens in it
     why : why it is not done, in one line; '' where it is, or is still to be
+    gateway : computer on which its link is; None: the fleet run's own
     """
 
     name: Text
@@ -190,6 +191,12 @@ class FleetAxis:
     began: Text | None = None
     ended: Text | None = None
     outcome: Outcome | None = None
+    gateway: Text | None = None
+
+    @property
+    def where(self) -> str:
+        """Its link, and on which computer that is."""
+        return f"{self.gateway}: {self.link}" if self.gateway else self.link
 
     @property
     def what(self) -> str:

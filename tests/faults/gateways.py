@@ -23,7 +23,7 @@ from pathlib import Path
 
 from commissioning.desk import Options
 from commissioning.fleet.file import Keys
-from commissioning.fleet.gateway.messages import PROTOCOL, Ask, Offer, Offered, Start
+from commissioning.fleet.gateway.messages import PROTOCOL, Ask, Offered, Start, Work
 from commissioning.fleet.ledger import Ledger
 from commissioning.fleet.messages import Order
 from commissioning.result.fleet import FAILED, FleetResult, JobState
@@ -328,7 +328,7 @@ def order_of(gateway: Gateway, axis: str) -> Order:
 
 def _offered(world: World, gateway: Gateway, axis: str, run: str = "r@host-1") -> Start:
     assert gateway.station is not None
-    answer = gateway.station.handle("offer", json_of(Offer(run, _order(world, axis))))
+    answer = gateway.station.handle("offer", json_of(Work(run, _order(world, axis))))
     assert answer.startswith("+"), answer
     return Start(of_json(answer[1:], Offered).nonce)
 
@@ -390,7 +390,7 @@ def _axis_file_changes(world: World, *, after_offer: bool) -> None:
     start = _offered(world, gateway, "x") if after_offer else None
     with (gateway.folder / "x.toml").open("a") as file:
         file.write("[limits]\nspeed = 1.5\n")
-    verb, asked = ("start", json_of(start)) if start else ("offer", json_of(Offer("r", order)))
+    verb, asked = ("start", json_of(start)) if start else ("offer", json_of(Work("r", order)))
     answer = gateway.station.handle(verb, asked)
     assert answer.startswith("-"), answer
     assert "limits" in answer, answer

@@ -1,7 +1,8 @@
 """A gateway as a process, with the real engine, and jobs that are fake: python -m
 tests.gateways.fake_gateway --listen HOST:PORT --axes DIR --keys DIR --name NAME [--lasts S].
 
-Each start is a line in the file `moves` of its home, which nothing takes back.
+Each start is a line in the file `moves` of its home, which nothing takes back. A job ends after S
+seconds, or when there is a file `may-end`.
 """
 
 from __future__ import annotations
@@ -61,8 +62,9 @@ class FakeWorker(Worker):
                 file.write(f"{order.fleet_run} {order.name} {order.attempt}\n")
             self._say(Report("step", text="measuring", step=1, steps=1))
             begun, state = time.monotonic(), JobState.DONE
-            while (left := begun + self._lasts - time.monotonic()) > 0:
-                if self._stop.wait(min(left, 0.25)):
+            may_end = home() / "may-end"
+            while (left := begun + self._lasts - time.monotonic()) > 0 and not may_end.exists():
+                if self._stop.wait(min(left, 0.1)):
                     state = JobState.STOPPED
                     with (home() / "stops").open("a") as file:
                         file.write(f"{order.name} {time.time():.6f}\n")

@@ -104,6 +104,10 @@ class At:
         path = self.home / "moves"
         return path.read_text().splitlines() if path.exists() else []
 
+    def let_end(self) -> None:
+        """Whatever fake job runs, or will."""
+        (self.home / "may-end").touch()
+
     @contextlib.contextmanager
     def running(self) -> Iterator[At]:
         self.begin()

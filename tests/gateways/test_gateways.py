@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from commissioning.fleet.gateway.messages import Offer, Offered, Start
+from commissioning.fleet.gateway.messages import Offered, Start, Work
 from commissioning.fleet.stopping import stop_runs
 from commissioning.result.fleet import FleetResult, JobState
 from commissioning.result.fleet_codec import json_of, of_json
@@ -126,7 +126,7 @@ def test_two_clients_at_one_gateway(tmp_path: Path, between: float) -> None:
     assert station is not None
 
     def begun(run: str, axis: str) -> bool:
-        answer = station.handle("offer", json_of(Offer(run, order_of(gateway, axis))))
+        answer = station.handle("offer", json_of(Work(run, order_of(gateway, axis))))
         if answer.startswith("-"):
             return False
         nonce = of_json(answer[1:], Offered).nonce

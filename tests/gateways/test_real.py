@@ -56,7 +56,7 @@ def test_a_run_is_fetched_and_restored_where_its_drive_is(
     assert (done.returncode, done.stderr) == (0, ""), done.stdout
     tree = json.loads((tmp_path / "f.json").read_text())
     axes = {axis["name"]: axis for axis in tree["axes"]}
-    assert axes["x"]["link"] == "pc-a: virtual://bench?seed=1"
+    assert (axes["x"]["gateway"], axes["x"]["link"]) == ("pc-a", "virtual://bench?seed=1")
     found = axes["x"]["outcome"]["coulomb"]
     assert found["low"] < 0.1 < found["high"]
     pages = state_folder / "fleets" / tree["fleet_run"]
@@ -250,7 +250,7 @@ def _state(folder: Path, axis: str) -> JobState:
 @pytest.mark.parametrize("how", ["killed", "frozen", "ended"])
 def test_a_gateway_fails_in_mid_motion(how: str, tmp_path: Path, state_folder: Path) -> None:
     keys = keys_in(tmp_path / "keys", "pc-a")
-    with At(tmp_path, "pc-a", keys, {"x": BENCH.format(1)}, 4.0).running() as at:
+    with At(tmp_path, "pc-a", keys, {"x": BENCH.format(1)}, 100.0).running() as at:
         path = fleet_file(tmp_path / "line.toml", {"pc-a": at}, keys)
         with running("fleet", "run", str(path)) as process:
             until(lambda: (at.home / "journal.sqlite").exists() and at.moving())
@@ -261,6 +261,7 @@ def test_a_gateway_fails_in_mid_motion(how: str, tmp_path: Path, state_folder: P
                 at.send(signal.SIGSTOP)
                 until(lambda: _state(state_folder, "x") is JobState.STARTED)
                 at.send(signal.SIGCONT)
+                at.let_end()
             else:
                 at.send(signal.SIGTERM)
                 until(lambda: at.process is not None and at.process.poll() is not None)
@@ -281,7 +282,7 @@ def test_the_client_dies_and_the_axis_ends_as_its_ledger_says(
 ) -> None:
     keys = keys_in(tmp_path / "keys", "pc-a")
     axes = {"x": BENCH.format(1), "y": BENCH.format(2)}
-    with At(tmp_path, "pc-a", keys, axes, 3.0).running() as at:
+    with At(tmp_path, "pc-a", keys, axes, 100.0).running() as at:
         path = fleet_file(tmp_path / "line.toml", {"pc-a": at}, keys)
         with running("fleet", "run", str(path), "--at-once", "1") as process:
             until(lambda: len(at.moves()) == 1)
@@ -291,6 +292,7 @@ def test_the_client_dies_and_the_axis_ends_as_its_ledger_says(
         again = run("run", str(path), "--resume")
         assert again.returncode == 3
         assert "on gateway 'pc-a'" in again.stderr
+        at.let_end()
         until(lambda: not at.moving())
         assert len(at.moves()) == 1, "nothing new begins without a client"
         run("status")
@@ -304,7 +306,7 @@ def test_a_stop_reaches_through_the_gateway_without_a_runner(
     tmp_path: Path, state_folder: Path
 ) -> None:
     keys = keys_in(tmp_path / "keys", "pc-a")
-    with At(tmp_path, "pc-a", keys, {"x": BENCH.format(1)}, 60.0).running() as at:
+    with At(tmp_path, "pc-a", keys, {"x": BENCH.format(1)}, 100.0).running() as at:
         path = fleet_file(tmp_path / "line.toml", {"pc-a": at}, keys)
         with running("fleet", "run", str(path)) as process:
             until(lambda: len(at.moves()) == 1)

@@ -68,6 +68,7 @@ from distributed.protocol.serialize import Serialized, deserialize  # noqa: E402
 __all__ = ["BLOCKED", "SETTINGS", "Office", "open_line", "serve"]
 
 _NEWS = 1.0  # s that a client is kept waiting for news
+_TOGETHER = 0.03  # s in which what comes is told at once
 _TO_CLOSE = 2.0  # s
 
 
@@ -162,6 +163,7 @@ class Office:
                 return answer
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(new.wait(), left)
+                await asyncio.sleep(_TOGETHER)
 
 
 def _plain(value: Any) -> str:

@@ -15,14 +15,13 @@ from commissioning.fleet.crew import Spoken, Worker
 from commissioning.fleet.gateway.lines import PATIENCE, Far, Heard
 from commissioning.fleet.gateway.messages import (
     Going,
-    Offer,
     Offered,
-    Part,
     Start,
     Started,
     Stop,
     Stopped,
     Which,
+    Work,
 )
 from commissioning.fleet.messages import Order, Report
 from commissioning.fleet.settling import ON_GATEWAY
@@ -142,7 +141,7 @@ class FarWorker(Worker):
 
     async def _look(self, order: Order) -> Report:
         whose = self._whose
-        asked = Part(whose.run, order, whose.below)
+        asked = Work(whose.run, order, whose.below)
         heard = self._far.listen(order.name, order.attempt)
         await self._far.insist("look", asked, Started)
         until = asyncio.get_running_loop().time() + _LOOK
@@ -160,7 +159,7 @@ class FarWorker(Worker):
 
     async def _job(self, order: Order) -> Report:
         whose = self._whose
-        offer = Offer(whose.run, order, whose.below)
+        offer = Work(whose.run, order, whose.below)
         try:
             offered = await self._far.insist("offer", offer, Offered)
         except LinkLost as lost:

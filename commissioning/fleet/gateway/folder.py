@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -47,29 +48,29 @@ class AxisFolder:
             yield f"no axis files in {self._folder}: NAME.toml with a link is the axis NAME"
         for name in files:
             try:
-                self.axis(name, Keys(), files)
+                self.axis(name, Keys())
             except TwoRelayError as error:
                 yield str(error)
 
-    def path(self, name: str, files: Mapping[str, Path] | None = None) -> Path:
+    def path(self, name: str) -> Path:
         """File of an axis; raises UnknownName."""
-        files = self.files() if files is None else files
-        if name not in files:
-            raise UnknownName(f"axis of this gateway ({self._folder})", name, list(files))
-        return files[name]
+        path = self._folder / f"{name}.toml"
+        with contextlib.suppress(ValueError):  # a name that leads elsewhere is none of here
+            if axis_name(name) == path.stem and path.parent == self._folder and path.is_file():
+                return path
+        raise UnknownName(f"axis of this gateway ({self._folder})", name, list(self.files()))
 
-    def axis(self, name: str, below: Keys, files: Mapping[str, Path] | None = None) -> Axis:
+    def axis(self, name: str, below: Keys) -> Axis:
         """An axis as its file says it, above the defaults of a fleet; raises UsageError."""
-        axis = axis_in(self.path(name, files), below)
+        axis = axis_in(self.path(name), below)
         return axis.model_copy(update={"name": name})
 
     def tell(self, names: tuple[str, ...], below: Keys, home: Path) -> Iterator[FarAxis]:
         """Each of these, as it is here."""
-        files = self.files()
         with Journal(home, reading=True) as journal:
             for name in names:
                 try:
-                    axis = self.axis(name, below, files)
+                    axis = self.axis(name, below)
                 except TwoRelayError as error:
                     yield FarAxis(name, error=error_of(error))
                 else:

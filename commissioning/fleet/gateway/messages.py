@@ -20,9 +20,7 @@ __all__ = [
     "Going",
     "Greeting",
     "News",
-    "Offer",
     "Offered",
-    "Part",
     "Piece",
     "PutBack",
     "Restore",
@@ -33,6 +31,7 @@ __all__ = [
     "Stopped",
     "Which",
     "Wire",
+    "Work",
 ]
 
 PROTOCOL = 1  # of these messages; another one is refused
@@ -116,29 +115,14 @@ class Declined:
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """look: at one axis; what it shows is in the news.
+class Work:
+    """look: at an axis; what it shows is in the news. offer: the job on it; nothing moves yet.
 
     Attributes
     ----------
     run : the client's fleet run, as no other client can have it
+    order : of a job what was looked at and confirmed
     below : defaults of its fleet file, as JSON
-    """
-
-    run: str
-    order: Order
-    below: str = "{}"
-
-
-@dataclass(frozen=True, slots=True)
-class Offer:
-    """offer: a job is to be started; nothing moves yet.
-
-    Attributes
-    ----------
-    run : the client's fleet run, as no other client can have it
-    order : what was looked at and confirmed
-    below : as for the look
     """
 
     run: str
@@ -281,6 +265,6 @@ class Chunk:
 
 
 KINDS = {  # what each verb asks with
-    "hello": Ask, "look": Part, "offer": Offer, "start": Start, "settle": Which, "stop": Stop,
+    "hello": Ask, "look": Work, "offer": Work, "start": Start, "settle": Which, "stop": Stop,
     "news": Since, "fetch": Chunk, "restore": Restore,
 }  # fmt: skip

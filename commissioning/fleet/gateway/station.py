@@ -36,9 +36,7 @@ from commissioning.fleet.gateway.messages import (
     Going,
     Greeting,
     News,
-    Offer,
     Offered,
-    Part,
     PutBack,
     Restore,
     Since,
@@ -47,6 +45,7 @@ from commissioning.fleet.gateway.messages import (
     Stop,
     Stopped,
     Which,
+    Work,
 )
 from commissioning.fleet.gateway.news import Newsroom
 from commissioning.fleet.gateway.parcels import Parcels
@@ -74,7 +73,7 @@ _CLEAN = JobState.DONE, JobState.NOT_HELPED, JobState.REJECTED, JobState.REFUSED
 class _Offered(NamedTuple):
     """A job that may be started, until `until`; `confirmed`: SHA-256 of what was confirmed."""
 
-    offer: Offer
+    offer: Work
     until: float
     confirmed: str
 
@@ -168,7 +167,7 @@ class Station:
 
     # -- looking, offering, starting ---------------------------------------------------------------
 
-    def _look(self, part: Part) -> Started:
+    def _look(self, part: Work) -> Started:
         self._check_open()
         axis = self._folder.check_same(part.order.name, _below(part.below), part.order.axis)
         of_it = part.run, part.order.name, part.order.attempt
@@ -178,7 +177,7 @@ class Station:
                     return Started(worker.pid)  # it was asked for twice
         return Started(self._put_to_work(part.run, part.order, axis, anew=False))
 
-    def _offer(self, offer: Offer) -> Offered:
+    def _offer(self, offer: Work) -> Offered:
         self._check_open()
         order = offer.order
         self._folder.check_same(order.name, _below(offer.below), order.axis)
@@ -206,7 +205,7 @@ class Station:
             self._offers[nonce] = _Offered(offer, now + GOOD_FOR, _hash(order))
         return Offered(nonce)
 
-    def _check_free(self, offer: Offer, ledger: Ledger) -> None:
+    def _check_free(self, offer: Work, ledger: Ledger) -> None:
         """Raises Refused where another fleet run moves something here, or this axis is moved."""
         with self._lock:
             taken = [(at.run, at.order.name) for at in self._at.values() if at.order.act == "job"]
@@ -415,7 +414,7 @@ def _settled(ledger: Ledger, which: Which, *, mine: bool) -> LedgerRow:
     return row
 
 
-def _is_of(stop: Stop, one: Offer | _At) -> bool:
+def _is_of(stop: Stop, one: Work | _At) -> bool:
     return one.run == stop.run and stop.axis in ("", one.order.name)
 
 

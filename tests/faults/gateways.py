@@ -105,6 +105,9 @@ def _wire(world: World, verb: str, number: int, does: str, late: float, outage: 
     world.troubles = [Trouble(verb, number, does, late, outage)]
     client = world.client()
     _run(client)
+    begun = sum(world.moved.values())
+    world.go_on(_SETTLES)
+    assert sum(world.moved.values()) == begun, "something begins after it was given up"
     _finish(world, client)
 
 
@@ -277,6 +280,19 @@ def _client_is_stopped(world: World, number: int, does: str, outage: float) -> N
     _finish(world, client)
 
 
+def _stopped_while_it_is_offered(world: World) -> None:
+    """Its answer is lost, and it is offered again after the stop: nothing starts."""
+    client = world.client()
+
+    def stop() -> None:
+        client.interruption.count, client.interruption.signal = 2, 2
+
+    world.troubles = [Trouble("offer", 1, "after", then=stop), Trouble("offer", 2, "before")]
+    _run(client)
+    assert not world.moved, "something starts after a stop"
+    _finish(world, client)
+
+
 def _two_clients(world: World, number: int) -> None:
     """Both are for the same axes; the second comes at the n-th picture of the first."""
     first, second = world.client("one"), world.client("two")
@@ -308,6 +324,7 @@ def _client_cases() -> Iterator[Case]:
             f"stopped at picture {number}, and the stop: {does}, out for {outage:.0f} s",
             partial(_client_is_stopped, number=number, does=does, outage=outage),
         )
+    yield Case("stopped while it is offered", _stopped_while_it_is_offered)
     for number in (1, 2, 3, 5, 8, 12):
         yield Case(f"a second client at picture {number}", partial(_two_clients, number=number))
 

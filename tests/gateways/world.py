@@ -169,6 +169,8 @@ class FakeProcess:
             self.say(Report("void", text="not granted"))
             return
         self.has_started = True
+        beside = {one.fleet_run for one in self.at.order_of.values()} - {order.fleet_run}
+        self.at.world.clashes += [f"{order.fleet_run} beside {one}" for one in beside]
         self.at.world.moved[of_it] += 1
         self.at.order_of[self] = order
         self.say(Report("step", text="measuring", step=1, steps=1))
@@ -516,6 +518,7 @@ class World:
         self.lasts = lasts
         self.moved: Counter[tuple[str, str, int]] = Counter()
         self.troubles: list[Trouble] = []
+        self.clashes: list[str] = []  # two fleet runs that move axes of one gateway
         self._cut: dict[str, float] = {}
         self.gateways: dict[str, Gateway] = {}
         for name, its in axes.items():
@@ -574,6 +577,7 @@ class World:
 
     def check(self, *clients: Client) -> None:
         """Never two starts for one grant; whatever a client says has been so."""
+        assert not self.clashes, self.clashes
         for of_it, times in self.moved.items():
             assert times == 1, f"{of_it} was started {times} times"
         for client in clients:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypedDict
 
-__all__ = ["boot", "clock", "is_alive", "start", "this_process"]
+__all__ = ["boot", "clock", "is_alive", "processors", "start", "this_process"]
 
 _SAME = 2.0  # s; a number that was given again is further off
 _LARGEST = 2**31
@@ -43,6 +43,12 @@ def clock() -> float:
     gettime: Callable[[int], float] | None = getattr(time, "clock_gettime", None)
     awake_or_not: int | None = getattr(time, "CLOCK_BOOTTIME", None)
     return time.monotonic() if gettime is None or awake_or_not is None else gettime(awake_or_not)
+
+
+def processors() -> int:
+    """How many this process may run on."""
+    found = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return found or 1
 
 
 def _started(pid: int) -> float:

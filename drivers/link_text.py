@@ -21,6 +21,7 @@ __all__ = [
     "host_and_port",
     "is_loopback",
     "is_simulated",
+    "is_stepped",
     "name_of",
     "parse",
 ]
@@ -258,6 +259,12 @@ def is_simulated(text: str) -> bool:
         return is_loopback(host_and_port(link)[0])
     found = _SOCKETCAND.fullmatch(link.channel) if link.interface == "socketcand" else None
     return found is not None and is_loopback(found["host"])
+
+
+def is_stepped(text: str) -> bool:
+    """Whether the time of what a LINK leads to is simulated."""
+    link = parse(text)
+    return link.scheme == "virtual" or (link.is_stepping and is_simulated(text))
 
 
 def _is_pseudo_terminal(device: str) -> bool:

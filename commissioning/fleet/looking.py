@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,6 +14,7 @@ from commissioning.fleet.plan import Fleet, PlannedAxis
 from commissioning.fleet.schedule import Rules, Share, Task, startable
 from commissioning.fleet.serials import Pins, misplaced
 from commissioning.journal import Journal
+from commissioning.processes import processors
 from commissioning.result.endings import Error
 from commissioning.result.fleet import Confirmed, JobState
 from drivers.places import same_place
@@ -47,8 +47,7 @@ class Seen:
 
 def rules_of(fleet: Fleet, at_once: int | None) -> Rules:
     """How many at once on each computer: all its processors, but for one in real time."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    cores = cores or 1
+    cores = processors()
     zones = {name: zone.at_once for name, zone in fleet.zones.items() if zone.at_once is not None}
     others = {name: Share(max(1, its - 1), its) for name, its in fleet.cores.items()}
     return Rules(at_once or max(1, cores - 1), at_once or cores, zones, others, at_once)

@@ -12,7 +12,7 @@ from typing import Any
 from commissioning.desk import Options
 from commissioning.fleet.file import Gateway, Group, Keys, Zone
 from commissioning.result.fleet import FleetJob
-from drivers.link_text import is_simulated, parse
+from drivers.link_text import is_simulated, is_stepped
 from profiles.axis import Axis
 from profiles.errors import TwoRelayError, UnknownName
 
@@ -73,10 +73,7 @@ class PlannedAxis:
         """Whether its time is simulated."""
         if self.gateway is not None:
             return self.far is not None and self.far.stepping
-        link = parse(self.link) if self.link else None
-        if link is None:
-            return False
-        return link.scheme == "virtual" or (link.is_stepping and is_simulated(self.link))
+        return bool(self.link) and is_stepped(self.link)
 
     @property
     def is_real(self) -> bool:

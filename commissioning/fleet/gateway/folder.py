@@ -12,7 +12,7 @@ from commissioning.fleet.gateway.messages import FarAxis
 from commissioning.fleet.loading import axis_in
 from commissioning.fleet.plan import differences
 from commissioning.journal import Journal
-from drivers.link_text import is_simulated, parse
+from drivers.link_text import is_simulated, is_stepped
 from drivers.places import buses, same_place
 from profiles.axis import Axis, axis_name
 from profiles.errors import Refused, TwoRelayError, UnknownName, UsageError
@@ -98,10 +98,8 @@ def _said(axis: Axis) -> dict[str, object]:
 def _told(axis: Axis, journal: Journal) -> FarAxis:
     link = axis.link
     assert link is not None
-    parsed = parse(link)
-    stepping = parsed.scheme == "virtual" or (parsed.is_stepping and is_simulated(link))
     runs = journal.unfinished_on(lambda other: same_place(link, other))
     return FarAxis(
-        axis.name, axis.as_said(), buses(link), stepping, is_simulated(link),
+        axis.name, axis.as_said(), buses(link), is_stepped(link), is_simulated(link),
         runs[0] if runs else None,
     )  # fmt: skip

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 import platform
 import secrets
 import sys
@@ -55,11 +54,11 @@ from commissioning.fleet.messages import Order, Report
 from commissioning.fleet.rows import LedgerRow, Whose
 from commissioning.fleet.stopping import interrupt
 from commissioning.journal import Journal
-from commissioning.processes import clock
+from commissioning.processes import clock, processors
 from commissioning.result.endings import Error
 from commissioning.result.fleet import ENDED, JobState
 from commissioning.result.fleet_codec import json_of, of_json
-from drivers.link_text import is_simulated, parse
+from drivers.link_text import is_stepped
 from profiles.axis import Axis
 from profiles.errors import Refused, TwoRelayError, UsageError
 
@@ -159,9 +158,8 @@ class Station:
                 hint="install one version on both",
             )
         found = tuple(self._folder.tell(ask.axes, _below(ask.below), self._home))
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         greeting = Greeting(
-            PROTOCOL, tool().version, self.name, platform.node(), self.life, cores or 1
+            PROTOCOL, tool().version, self.name, platform.node(), self.life, processors()
         )
         return Axes(greeting, found)
 
@@ -250,7 +248,9 @@ class Station:
         whose = " at ".join(filter(None, (start.operator, start.host))) or "another computer"
         self._say(f"'{order.name}': {order.job}, for {whose}")
         try:
-            return Started(self._put_to_work(offer.run, order, axis, anew=not _stepping(axis)))
+            return Started(
+                self._put_to_work(offer.run, order, axis, anew=not is_stepped(axis.link or ""))
+            )
         except OSError as error:
             with Ledger(self._home) as ledger:
                 ledger.revoke(offer.run, order.name, order.attempt, str(error))
@@ -260,7 +260,7 @@ class Station:
         own = replace(order, fleet_run=run, axis=axis.as_said(), gateway="")
         with self._lock:
             worker = self._crew.order(own, anew=anew)
-            self._at[worker] = _At(run, own, _stepping(axis))
+            self._at[worker] = _At(run, own, is_stepped(axis.link or ""))
         return worker.pid
 
     def _check_open(self) -> None:
@@ -424,12 +424,6 @@ def _below(text: str) -> Keys:
         return Keys.model_validate_json(text)
     except ValueError as error:
         raise UsageError(f"the defaults of the fleet file are not understood: {error}") from None
-
-
-def _stepping(axis: Axis) -> bool:
-    assert axis.link is not None
-    link = parse(axis.link)
-    return link.scheme == "virtual" or (link.is_stepping and is_simulated(axis.link))
 
 
 def _hash(order: Order) -> str:
